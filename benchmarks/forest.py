@@ -16,8 +16,8 @@ import report
 import torch
 from instances import photograph
 
+from torchjoint.images.contours import suppress_non_maxima
 from torchjoint.images.forest import read_forest
-from torchjoint.images.non_maximum_suppression import suppress_non_maxima
 from torchjoint.ops.internal import structured_forest
 
 #: OpenCV resamples odd sides, ours are mirrored: compare the answers on even ones.

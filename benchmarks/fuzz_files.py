@@ -184,7 +184,7 @@ def make_instances(folder: Path) -> list[Sample]:
 def make_boxes(folder: Path) -> list[Sample]:
     """Boxes and labels of programs of annotation."""
     from torchjoint.results.boxes import read_boxes
-    from torchjoint.results.point_edits import read_point_labels
+    from torchjoint.results.shared_edits import read_point_labels
 
     labels = torch.arange(60) // 20
     scene = tj.Scene(torch.rand(60, 3, generator=torch.Generator().manual_seed(0)))

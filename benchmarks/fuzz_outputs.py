@@ -19,9 +19,7 @@ import numpy as np
 from fuzz_files import FindingError
 
 from torchjoint.results.output_folder import COMPLETE, PLACING, output_folder
-from torchjoint.runtime.locks import LostError
-from torchjoint.runtime.outputs import Output
-from torchjoint.runtime.work_folder import SOURCE, write_sealed
+from torchjoint.runtime.outputs import SOURCE, LostError, Output, write_sealed
 
 #: The files of a result, and of a run that makes it.
 NAMES = ("run.yaml", "points.ply", "images/0.png", "images/1.png")

@@ -22,8 +22,7 @@ from instances import room
 from torchjoint_lab.synthetic import make_scene
 
 import torchjoint as tj
-from torchjoint.runtime.ahead import ahead
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence, ahead
 
 VIEWS, POINTS, BATCH = 12, 300_000, 8
 NOISE = 0.01

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.config import ImageGraphConfig
-from torchjoint.images.gradient_boundary import GradientBoundary
+from torchjoint.images.boundary import GradientBoundary
 from torchjoint.images.pixel_graph import grid_edges, pixel_weights
 
 

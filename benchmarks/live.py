@@ -18,7 +18,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint.recordings.playing import computed_beside, play
-from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
+from torchjoint.runtime.memory import peak_memory, reset_peak_memory
 
 
 def played(frames: Sequence[tj.Frame], rate: float, every: int) -> list[str | float]:

@@ -22,8 +22,8 @@ from scipy.spatial import cKDTree
 
 from torchjoint import ops
 from torchjoint.ops.internal import WEIGHT_UNIT
-from torchjoint.segments.learned.mask_counts import MaskCounts
-from torchjoint.segments.learned.mask_merging import MaskLinkage
+from torchjoint.segments.learned.masks import MaskLinkage
+from torchjoint.segments.learned.piece_graph import MaskCounts
 
 PER_OBJECT, NEIGHBORS, POINTS_PER_PIECE = 12, 6, 30
 SPLIT, JOINED, MISSING = 0.3, 0.08, 0.15

@@ -25,7 +25,7 @@ import torchjoint as tj
 from torchjoint.engine import open_engine
 from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.recordings.one_scene import Job, run_scene
-from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
+from torchjoint.runtime.memory import peak_memory, reset_peak_memory
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 

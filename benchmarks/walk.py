@@ -22,7 +22,7 @@ from torchjoint_lab.synthetic.furnished.room import make_world
 from torchjoint_lab.synthetic.furnished.world import World
 
 import torchjoint as tj
-from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
+from torchjoint.runtime.memory import peak_memory, reset_peak_memory
 
 HEIGHT, WIDTH = 480, 640
 #: Frames a second, and frames of a round: 25 seconds.

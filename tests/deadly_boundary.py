@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 from matplotlib.figure import Figure
 
-from torchjoint.images.gradient_boundary import GradientBoundary
+from torchjoint.images.boundary import GradientBoundary
 from torchjoint.results import folder
 
 folder.overview = lambda scene, result: Figure(figsize=(1, 1))

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, settings
 from torchjoint.cli.main import main
 from torchjoint.scene import Scene, Segmentation
 from torchjoint.synthetic import SyntheticScene, make_scene
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
 # How fast a machine is says nothing about the code: no test fails because an example takes long to make or to run.

@@ -2,8 +2,7 @@
 
 import torch
 
-from torchjoint.cloud.adjacency import CsrAdjacency
-from torchjoint.cloud.graph import PointGraph
+from torchjoint.cloud.graph import CsrAdjacency, PointGraph
 
 
 def graph_of(points, edges, normals, colors=None):

@@ -3,7 +3,7 @@
 import torch
 
 from torchjoint.segments.planes import Planes
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
 FOCAL, HEIGHT, WIDTH = 20.0, 8, 12

@@ -14,8 +14,8 @@ from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.recordings.segment import run
 from torchjoint.results.checkpoint import Checkpoint, run_key
-from torchjoint.scene.pose_warning import PoseWarning
-from torchjoint.segments.scan.scan_segments import segment_scan
+from torchjoint.scene.frame import PoseWarning
+from torchjoint.segments.scan.method import segment_scan
 from torchjoint.views.pose_check import NUM_FRAMES, PoseCheck
 
 CONFIG = tj.Config().set(["paper.min_size=20", "image_segments.min_size=20"])

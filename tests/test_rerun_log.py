@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import torchjoint as tj
 from torchjoint.live import RerunLog
-from torchjoint.scene.camera import camera_center
+from torchjoint.scene.frame import camera_center
 
 pytest.importorskip("rerun", reason="recordings of Rerun need rerun: pip install 'torchjoint[rerun]'")
 from rerun.chunk import RrdReader

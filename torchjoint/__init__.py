@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from torchjoint.results.loading import load_result
     from torchjoint.results.result import Result
     from torchjoint.scene import Cloud, Frame, Hierarchy, LabelImages, Masks, Scene, Segmentation, Truth
-    from torchjoint.scene.pose_warning import PoseWarning
+    from torchjoint.scene.frame import PoseWarning
     from torchjoint.synthetic import SyntheticScene
 
 __version__ = version("torchjoint")

@@ -29,18 +29,15 @@ from tqdm import tqdm
 from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.local import warn_of_rounding, without_copies
 from torchjoint.config import Config, evidence_differences
-from torchjoint.images.exposure import brightened
-from torchjoint.images.segmenter import ImageSegmenter
+from torchjoint.images.segmenter import ImageSegmenter, brightened
 from torchjoint.labels.label import label
-from torchjoint.runtime.ahead import ahead
 from torchjoint.runtime.memory import as_bytes
-from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
+from torchjoint.runtime.messages import Stopwatch
+from torchjoint.runtime.threads import ahead, on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene, Segmentation
 from torchjoint.segments.method import Method, choose_method, describe
-from torchjoint.views.evidence import Evidence, FrameEvidence
+from torchjoint.views.evidence import Evidence, FrameEvidence, observe_frame
 from torchjoint.views.observations import Observations
-from torchjoint.views.observe import observe_frame
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 
 logger = logging.getLogger(__name__)

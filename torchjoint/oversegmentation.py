@@ -22,7 +22,7 @@ from torchjoint.cloud.mesh import face_edges, vertex_normals
 from torchjoint.cloud.neighbors import neighbor_tables, order_along_space
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.config import SuperpointsConfig
-from torchjoint.runtime.first_places import first_places
+from torchjoint.runtime.groups import first_places
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud
 from torchjoint.scene.checks import is_double, without_return

@@ -18,7 +18,7 @@ from torchjoint_lab.benchmark.real_scenes import LabelledScene, RealScene, all_k
 from torchjoint_lab.benchmark.robustness_scenes import find_scenes
 
 from torchjoint.joint import JointSegmenter
-from torchjoint.scene.votes import OFFSET, PER_IOU, PER_LOG_POINTS
+from torchjoint.scene.hierarchy import OFFSET, PER_IOU, PER_LOG_POINTS
 
 #: Kinds with truth whose scenes method learned segments: generated ones, and real ones of `torchjoint-lab real`.
 GENERATED = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop")

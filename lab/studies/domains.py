@@ -49,9 +49,8 @@ import torchjoint as tj
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
-from torchjoint.scene.thinning import voxel_subsample
-from torchjoint.segments.learned.boundary_model import BoundaryModel
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.scene.scene import voxel_subsample
+from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
 from torchjoint.segments.learned.consensus import build_consensus
 
 DOMAINS = ("table", "shelf", "bin", "desk", "kitchen", "room", "workshop")

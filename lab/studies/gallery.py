@@ -17,9 +17,8 @@ from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint.results.figures import cloud_figure
-from torchjoint.results.label_colors import label_colors
-from torchjoint.results.render import render_cloud
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.results.render import label_colors, render_cloud
+from torchjoint.scene.scene import voxel_subsample
 from torchjoint.views.projection import in_any_view
 
 DOCS = Path(__file__).parents[2] / "docs"

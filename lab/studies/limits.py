@@ -25,7 +25,7 @@ from torchjoint_lab.benchmark.robustness_scenes import GENERATED, KINDS, find_sc
 
 import torchjoint as tj
 from torchjoint.metrics.overlaps import Overlaps
-from torchjoint.runtime.most_frequent import most_frequent
+from torchjoint.runtime.groups import most_frequent
 
 #: Number of levels of the tree that are looked at.
 LEVELS = 100

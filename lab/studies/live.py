@@ -31,7 +31,7 @@ from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint.runtime.files import write_text
-from torchjoint.scene.camera import camera_center
+from torchjoint.scene.frame import camera_center
 
 KINDS = ("room", "kitchen", "desk")
 #: Seeds of scenes that are in no training.

@@ -25,7 +25,9 @@ from torchjoint_lab.synthetic import make_domain_scene, with_network_masks
 import torchjoint as tj
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene
-from torchjoint.segments.learned import agglomeration, mask_merging, mask_pieces
+from torchjoint.segments.learned import agglomeration
+from torchjoint.segments.learned import masks as mask_merging
+from torchjoint.segments.learned import masks as mask_pieces
 
 DOMAINS = ("room", "table", "shelf")
 FIRST_SEED = 116

@@ -24,8 +24,7 @@ from torch.nn.functional import normalize
 from torchjoint_lab.synthetic import SyntheticScene, make_scene
 
 import torchjoint as tj
-from torchjoint.cloud.adjacency import CsrAdjacency
-from torchjoint.cloud.graph import PointGraph
+from torchjoint.cloud.graph import CsrAdjacency, PointGraph
 from torchjoint.cloud.mesh import face_edges
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals

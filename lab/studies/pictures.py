@@ -32,10 +32,9 @@ from torchjoint.config import VisibilityConfig
 from torchjoint.metrics.scannet import scannet_average_precision
 from torchjoint.results.boxes import boxes_of
 from torchjoint.results.exports import FORMATS
-from torchjoint.results.label_colors import label_colors
-from torchjoint.results.render import render_cloud
-from torchjoint.scene.pose_warning import PoseWarning
-from torchjoint.segments.scan.scan_segments import segment_scan
+from torchjoint.results.render import label_colors, render_cloud
+from torchjoint.scene.frame import PoseWarning
+from torchjoint.segments.scan.method import segment_scan
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.projection import project
 from torchjoint.views.visibility import Visible, visible_points

@@ -20,7 +20,7 @@ from torchjoint_lab.synthetic import DOMAINS, make_domain_scene
 
 import torchjoint as tj
 from torchjoint.scene import Scene
-from torchjoint.scene.pose_warning import PoseWarning
+from torchjoint.scene.frame import PoseWarning
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 
 HALF_A_METRE = 0.5

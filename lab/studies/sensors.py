@@ -33,8 +33,8 @@ from torchjoint_lab.synthetic import LIDARS
 
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.metrics import ScannetAveragePrecisionMetric
-from torchjoint.segments.scan.one_view import look_for_scan
-from torchjoint.segments.scan.scan_segments import segment_scan
+from torchjoint.segments.scan.method import segment_scan
+from torchjoint.segments.scan.recognition import look_for_scan
 
 #: Labels [N] of points [N, 3]; -1 = none.
 Method = Callable[[Tensor], Tensor]

@@ -10,7 +10,7 @@ import report
 from torchjoint_lab.datasets.bsds import bsds_images
 from torchjoint_lab.evaluation.boundary_scores import evaluate_boundaries
 
-from torchjoint.images.structured_forest import StructuredForestBoundary
+from torchjoint.images.forest import StructuredForestBoundary
 
 THRESHOLDS = 19
 

@@ -21,12 +21,11 @@ from torchjoint_lab.training import (
 from torchjoint_lab.training.piece_graph_files import PieceGraphFiles, load_evidence, save_evidence
 from torchjoint_lab.training.scene_merging import SceneMerging
 
-from torchjoint.runtime.checked_files import write_checked
+from torchjoint.runtime.files import write_checked
 from torchjoint.scene import Scene, Truth
 from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.segments.learned.boundary_model import calibrated
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.boundary_model import calibrated, load_boundary_model
 
 QUICK = BoundaryModelOptions(thresholds=(0.2, 0.5), trees=3, leaves=4, folds=2)
 

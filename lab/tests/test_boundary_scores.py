@@ -19,8 +19,8 @@ from torchjoint_lab.evaluation.boundary_scores import (
 )
 from torchjoint_lab.evaluation.skeleton import thin
 
-from torchjoint.images.gradient_boundary import GradientBoundary
-from torchjoint.images.non_maximum_suppression import suppress_non_maxima
+from torchjoint.images.boundary import GradientBoundary
+from torchjoint.images.contours import suppress_non_maxima
 
 HEIGHT, WIDTH = 240, 320  # a diagonal of 400: matches up to 3 pixels
 HALF = torch.tensor([0.5])

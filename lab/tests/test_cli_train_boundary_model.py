@@ -9,7 +9,7 @@ from torchjoint_lab import training
 from torchjoint_lab.cli import train_boundary_model as command
 from torchjoint_lab.training import boundary_examples
 
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model
+from torchjoint.segments.learned.boundary_model import load_boundary_model
 
 
 @pytest.fixture

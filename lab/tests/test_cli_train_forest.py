@@ -7,7 +7,7 @@ import pytest
 import torch
 from bsds_files import write_bsds
 
-from torchjoint.images.structured_forest import StructuredForestBoundary
+from torchjoint.images.forest import StructuredForestBoundary
 
 ROWS, COLUMNS = np.mgrid[:64, :96]
 TRUTHS = {

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torchjoint_lab.regions.image_support import MIN_POINTS, best_overlaps
 
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
 

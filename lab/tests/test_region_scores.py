@@ -14,7 +14,7 @@ from torchjoint_lab.evaluation.region_scores import (
 )
 
 from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
-from torchjoint.images.gradient_boundary import GradientBoundary
+from torchjoint.images.boundary import GradientBoundary
 
 HALVES = (np.arange(60) >= 30).repeat(40).reshape(60, 40).T.astype(int) + 1
 

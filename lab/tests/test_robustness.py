@@ -11,9 +11,9 @@ from torchjoint_lab.benchmark.disturbances import CLEAN, DISTURBANCES, as_8_bits
 from torchjoint_lab.benchmark.robustness import Run, covering, disturb, measure, report, scores
 from torchjoint_lab.benchmark.robustness_scenes import GENERATED, NamedScene, find_scenes
 
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene.camera import camera_center
+from torchjoint.scene.frame import camera_center
 
 COUNT = 200
 

@@ -11,7 +11,7 @@ from torchjoint_lab.evaluation.instances import Instances, painted, read_instanc
 from torchjoint_lab.evaluation.protocols import PROTOCOLS, counted, find_table
 
 import torchjoint as tj
-from torchjoint.results.exports.scannet import export_masks, export_scannet
+from torchjoint.results.exports.masks import export_masks, export_scannet
 
 SCAN = "scene0011_00"
 #: Raw category, id (ScanNet200), nyu40id: a keyboard is only in ScanNet200, a shampoo bottle and a wall in neither.

@@ -15,7 +15,7 @@ import torchjoint as tj
 from torchjoint.config import presets
 from torchjoint.datasets.formats import FORMATS
 from torchjoint.datasets.fusion import fuse_cloud
-from torchjoint.results.crops import Crop
+from torchjoint.results.embeddings import Crop
 from torchjoint.results.output_folder import output_folder
 
 PROGRAM = "import sys; from torchjoint.cli import main; sys.argv = ['torchjoint', *sys.argv[1:]]; main()"
@@ -78,7 +78,7 @@ def test_a_library_that_does_not_fit_in_memory_is_one_line(run, monkeypatch, mes
     def fails(name):
         raise ImportError(message)
 
-    monkeypatch.setattr("torchjoint.cli.commands.import_module", fails)
+    monkeypatch.setattr("torchjoint.cli.main.import_module", fails)
     with pytest.raises(SystemExit if ends else ImportError, match="error: out of memory" if ends else message):
         run("segment", "x")
 

@@ -4,9 +4,8 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.cloud import working_cloud as module
-from torchjoint.cloud.scales import measure_scales
-from torchjoint.cloud.working_cloud import cell_means, working_cloud
+from torchjoint.cloud import scales as module
+from torchjoint.cloud.scales import cell_means, measure_scales, working_cloud
 from torchjoint.scene import Scene
 
 

@@ -9,7 +9,7 @@ import torch
 import torchjoint as tj
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.columns import cloud_of, repaired, unit_colors
-from torchjoint.tiles.survey import survey
+from torchjoint.tiles.plan import survey
 
 RNG = np.random.default_rng(0)
 XYZ = RNG.uniform(0, 1, (40, 3)).astype(np.float32)

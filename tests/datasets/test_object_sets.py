@@ -8,7 +8,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.results.exports.coco import export_coco
+from torchjoint.results.exports.masks import export_coco
 
 
 def load(name, tmp_path):

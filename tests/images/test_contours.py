@@ -8,7 +8,7 @@ from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.images.contours import close_contours
 from torchjoint.images.pixel_graph import segment_image
 from torchjoint.images.segmenter import ImageSegmenter
-from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.runtime.messages import Stopwatch
 
 
 def outlined() -> torch.Tensor:

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.images.exposure import LEAST_MEAN, brightened
+from torchjoint.images.segmenter import LEAST_MEAN, brightened
 
 
 def test_bright_colours_stay_bit_for_bit():

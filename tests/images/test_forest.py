@@ -37,9 +37,8 @@ from torchjoint_lab.training.patches import (
 from torchjoint_lab.training.tree import grow_tree
 
 from torchjoint.images import forest as forest_file
-from torchjoint.images.forest import NUM_FEATURES, Forest, read_forest
-from torchjoint.images.structured_forest import padded
-from torchjoint.runtime.work_folder import work_folder
+from torchjoint.images.forest import NUM_FEATURES, Forest, padded, read_forest
+from torchjoint.runtime.outputs import work_folder
 
 SMALL = TrainingOptions(
     trees=3, trees_per_site=2, samples=3000, feature_share=0.05, tree=TreeOptions(features_tried=20, node_samples=500)

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
-from torchjoint.images.gradient_boundary import GradientBoundary
+from torchjoint.images.boundary import GradientBoundary
+from torchjoint.images.contours import smooth
 from torchjoint.images.pixel_graph import grid_edges, pixel_weights, segment_image
-from torchjoint.images.smoothing import smooth
 from torchjoint.ops import felzenszwalb
 
 

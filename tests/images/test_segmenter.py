@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 import torchjoint as tj
-from torchjoint.images._eval_mode import eval_mode
+from torchjoint.images.segmenter import eval_mode
 
 
 class Network(nn.Module):

@@ -18,11 +18,9 @@ from torchjoint_lab.evaluation.boundary_scores import evaluate_boundaries
 
 import torchjoint as tj
 from torchjoint.config import BoundaryConfig, Config
-from torchjoint.images import structured_forest
-from torchjoint.images.boundary import make_boundary
-from torchjoint.images.forest import read_forest
-from torchjoint.images.gradient_boundary import GradientBoundary
-from torchjoint.images.structured_forest import StructuredForestBoundary
+from torchjoint.images import forest as structured_forest
+from torchjoint.images.boundary import GradientBoundary, make_boundary
+from torchjoint.images.forest import StructuredForestBoundary, read_forest
 from torchjoint.recordings import segment_recording
 
 MODEL = Path(str(files("torchjoint.models"))) / "bsds500.yml.gz"

@@ -10,12 +10,11 @@ from torchjoint_lab.benchmark.paint import paint
 from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
 from torchjoint.labels import geodesic
-from torchjoint.labels.geodesic import propagate
+from torchjoint.labels.geodesic import nearest_labels, propagate
 from torchjoint.labels.image_labels import label_image
-from torchjoint.labels.markers import nearest_labels
 from torchjoint.scene import Scene
 from torchjoint.synthetic import make_scene
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
 PLAIN = Config().set(["image_graph.smoothing=0"])

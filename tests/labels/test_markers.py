@@ -2,7 +2,7 @@
 
 import torch
 
-from torchjoint.labels.markers import without_outvoted
+from torchjoint.labels.geodesic import without_outvoted
 
 NONE = -1
 

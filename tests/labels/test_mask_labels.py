@@ -11,7 +11,7 @@ from torchjoint.config import Config
 from torchjoint.images.contours import outlines
 from torchjoint.labels.image_labels import label_image
 from torchjoint.scene import Masks
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
 SIZE = (8, 12)

@@ -8,11 +8,10 @@ from hypothesis import strategies as st
 
 from torchjoint.config import ImageGraphConfig, PaperConfig
 from torchjoint.images.pixel_graph import grid_edges
-from torchjoint.labels import segment_cuts, segment_merging
+from torchjoint.labels import cuts as segment_cuts
+from torchjoint.labels import cuts as segment_merging
+from torchjoint.labels.cuts import merge_segments, pixel_pairs, split_segments
 from torchjoint.labels.joint_ids import joint_labels
-from torchjoint.labels.pixel_pairs import pixel_pairs
-from torchjoint.labels.segment_cuts import split_segments
-from torchjoint.labels.segment_merging import merge_segments
 from torchjoint.views.visibility import Visible
 
 

@@ -14,7 +14,7 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.masks.folder import frame_names
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 
 SIZE = 6, 8
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from torchjoint.masks.polygon import polygon_pixels
+from torchjoint.masks.rle import polygon_pixels
 
 
 def filled_polygon(corners, size):

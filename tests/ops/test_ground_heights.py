@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from reference.ground_heights import ground_heights_reference
 
 from torchjoint.ops.internal import ground_heights
-from torchjoint.segments.scan.directions import directions
+from torchjoint.segments.scan.recognition import directions
 
 
 def scene(seed: int, count: int) -> dict[str, torch.Tensor]:

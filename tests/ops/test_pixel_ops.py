@@ -19,10 +19,10 @@ from reference.window_overlaps import window_overlaps_reference
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.cloud.graph import CsrAdjacency
 from torchjoint.config import ImageGraphConfig
+from torchjoint.images.contours import smooth
 from torchjoint.images.pixel_graph import grid_edges, pixel_weights
-from torchjoint.images.smoothing import smooth
 from torchjoint.ops.internal import line_maxima, outvoted_markers, pair_counts, segment_graphs, window_overlaps
 
 SEEDS = st.integers(0, 2**32 - 1)

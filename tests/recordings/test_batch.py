@@ -16,9 +16,9 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.engine import Engine, tasks_on_machine
 from torchjoint.engine.worker import Shared
 from torchjoint.recordings import find_recordings, segment_recording
-from torchjoint.runtime.csv_tables import csv_text
-from torchjoint.runtime.locks import lock
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.runtime.foreign_files import csv_text
+from torchjoint.runtime.outputs import lock
+from torchjoint.scene.scene import voxel_subsample
 
 
 class Given(Shared):

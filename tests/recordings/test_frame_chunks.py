@@ -7,8 +7,7 @@ import torch
 from test_batch import HereEngine
 
 import torchjoint as tj
-from torchjoint.recordings.frame_chunks import evidence_of_chunks
-from torchjoint.recordings.segment import run
+from torchjoint.recordings.segment import evidence_of_chunks, run
 from torchjoint.results.checkpoint import Checkpoint
 
 QUICK = tj.Config().set(["boundary.detector=gradient"])

@@ -64,7 +64,7 @@ def test_a_full_disk(engine, scans, deaths, expected, tmp_path):
     """Scenes fail with a clear reason; after making room the command goes on."""
     disk = tmp_path / "disk"
     disk.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", disk]
+    command = ["mount", "-t", "tmpfs", "-o", "size=700k", "tmpfs", disk]
     mounted = subprocess.run(command, capture_output=True, check=False)
     if mounted.returncode:
         pytest.skip(f"needs the right to mount a small tmpfs: {mounted.stderr.decode().strip()}")

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import torchjoint as tj
-from torchjoint.results import box_edits
+from torchjoint.results import shared_edits as box_edits
 from torchjoint.results.boxes import (
     Box,
     boxes_of,

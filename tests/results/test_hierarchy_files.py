@@ -7,7 +7,7 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.results.folder import read_result, write_result
-from torchjoint.results.hierarchy_files import read_hierarchy, read_piece_image, write_hierarchy
+from torchjoint.results.manifest import read_hierarchy, read_piece_image, write_hierarchy
 from torchjoint.scene import Hierarchy
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])

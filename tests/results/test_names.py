@@ -17,8 +17,7 @@ from torchjoint.results.output_folder import output_folder
 from torchjoint.results.page import write_page
 from torchjoint.runtime.files import LONGEST, file_name
 from torchjoint.viewer.html import image_html, panel_html
-from torchjoint.viewer.model import Model
-from torchjoint.viewer.selection import export_selected
+from torchjoint.viewer.model import Model, export_selected
 
 CONFIG = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 NAMES = (

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.results.label_colors import label_colors
+from torchjoint.results.render import label_colors
 
 o3d = pytest.importorskip("open3d", reason="needs Open3D: pip install 'torchjoint[open3d]'")
 

@@ -14,7 +14,7 @@ from torchjoint.results.edits import Edit, Edits
 from torchjoint.results.exports.boxes import export_point_labels
 from torchjoint.results.folder import write_result
 from torchjoint.results.parts import Parts
-from torchjoint.results.point_edits import PointLabels, edits_of_points, read_point_labels
+from torchjoint.results.shared_edits import PointLabels, edits_of_points, read_point_labels
 
 
 def parts_of(piece, stored):

@@ -12,7 +12,7 @@ import torchjoint as tj
 from torchjoint.cli.export import export
 from torchjoint.results.folder import write_result
 from torchjoint.results.relations import Relation, Relations
-from torchjoint.runtime.locks import BusyError, lock
+from torchjoint.runtime.outputs import BusyError, lock
 
 UP = torch.tensor([0.0, 0, 1])
 

@@ -8,10 +8,10 @@ import torch
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.results.figures import overlay
 from torchjoint.results.folder import write_result
-from torchjoint.results.label_colors import label_colors
-from torchjoint.results.oriented_box import oriented_box
-from torchjoint.results.overlays import overlay
+from torchjoint.results.objects import oriented_box
+from torchjoint.results.render import label_colors
 from torchjoint.results.upright import up_direction, view_from_above
 
 GRADIENT = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])

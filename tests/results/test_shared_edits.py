@@ -14,7 +14,7 @@ from torchjoint.results.edits import FILE, Edit, Edits, read_edits, write_edits
 from torchjoint.results.folder import write_result
 from torchjoint.results.parts import Parts
 from torchjoint.results.shared_edits import merged_steps, save_edits
-from torchjoint.runtime.locks import BusyError, lock
+from torchjoint.runtime.outputs import BusyError, lock
 
 A, B, C, D = (Edit("name", (0,), name) for name in "abcd")
 

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from torchjoint.runtime.ahead import ahead
+from torchjoint.runtime.threads import ahead
 
 
 def test_the_next_is_computed_meanwhile_and_not_more() -> None:

@@ -15,7 +15,7 @@ import torchjoint as tj
 from torchjoint.live import RerunLog
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.page import write_page
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.messages import needed_for
 
 #: What each missing module stops, and the extra that brings it.
 MISSING = {

@@ -8,14 +8,14 @@ import sys
 
 import pytest
 
-from torchjoint.runtime import free_memory
+from torchjoint.runtime import memory as free_memory
 
 # 300 MB in blocks that the allocator keeps, because later ones are still in use.
 PROGRAM = """
 import re
 from pathlib import Path
 import torch
-from torchjoint.runtime.free_memory import give_back
+from torchjoint.runtime.memory import give_back
 
 def resident():
     return int(re.search(r"VmRSS:\\s*(\\d+) kB", Path("/proc/self/status").read_text())[1]) / 1e3

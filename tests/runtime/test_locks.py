@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from torchjoint.runtime.locks import BusyError, LostError, lock
+from torchjoint.runtime.outputs import BusyError, LostError, lock
 
 
 def test_one_at_a_time(tmp_path):

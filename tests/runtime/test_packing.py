@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from torchjoint.runtime.packing import pack
+from torchjoint.runtime.store import pack
 
 SHAPES = hnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=6)
 ARRAYS = st.sampled_from(["uint8", "int32", "int64", "float32"]).flatmap(lambda dtype: hnp.arrays(dtype, SHAPES))

@@ -7,8 +7,8 @@ import pickle
 
 import pytest
 
-from torchjoint.runtime import spill
-from torchjoint.runtime.spill import SpillFile
+from torchjoint.runtime import store as spill
+from torchjoint.runtime.store import SpillFile
 
 
 def test_what_is_written_is_read(tmp_path):

@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from torchjoint.runtime.files import atomic_write
-from torchjoint.runtime.work_folder import SOURCE, read_sealed, work_folder, write_sealed
+from torchjoint.runtime.outputs import SOURCE, read_sealed, work_folder, write_sealed
 
 
 def test_found_again_or_emptied(tmp_path):

@@ -3,7 +3,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.scene.scene import voxel_subsample
 
 
 @given(st.integers(0, 1000), st.integers(1, 60), st.sampled_from([0.1, 0.3, 2.0]))

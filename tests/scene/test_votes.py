@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import torchjoint as tj
 from torchjoint.scene import Hierarchy
-from torchjoint.scene.votes import OFFSET, PER_IOU, PER_LOG_POINTS, Votes
+from torchjoint.scene.hierarchy import OFFSET, PER_IOU, PER_LOG_POINTS, Votes
 
 
 def by_hand(votes, of_piece):

@@ -6,9 +6,7 @@ import pytest
 import torch
 
 from torchjoint import ops
-from torchjoint.segments.costs import combined_costs, crease_costs
-from torchjoint.segments.merging import merge
-from torchjoint.segments.planes import Planes
+from torchjoint.segments.planes import Planes, combined_costs, crease_costs, merge
 
 
 def planes_at(degrees, where=(0.0, 1.0)):

@@ -8,10 +8,9 @@ import torch
 from lidar_scans import HEIGHT, scan
 
 import torchjoint as tj
-from torchjoint.segments.learned.boundary_model import BoundaryModel
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model, save_boundary_model
+from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model, save_boundary_model
 from torchjoint.segments.method import choose_method
-from torchjoint.segments.scan.scan_segments import segment_scan
+from torchjoint.segments.scan.method import segment_scan
 
 AUTO = tj.Config().set(["point_segments.method=auto", "boundary.detector=gradient"])
 BOX = ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1))

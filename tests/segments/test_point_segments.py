@@ -8,11 +8,10 @@ import torch
 import torchjoint as tj
 from torchjoint import ops
 from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometric_weights
-from torchjoint.cloud.graph import PointGraph
-from torchjoint.cloud.orientation import orient_normals
+from torchjoint.cloud.graph import PointGraph, orient_normals
 from torchjoint.segments import paper
 from torchjoint.segments.scan import method as scan
-from torchjoint.segments.scan.scan_segments import segment_scan
+from torchjoint.segments.scan.method import segment_scan
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.propagation import disagreement
 

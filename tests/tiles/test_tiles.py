@@ -14,11 +14,20 @@ from torchjoint.config import SuperpointsConfig
 from torchjoint.metrics import segmentation_covering
 from torchjoint.tiles import run as tiles
 from torchjoint.tiles import superpoints_of_files
-from torchjoint.tiles.plan import NARROWEST, plan_tiles
-from torchjoint.tiles.spill import OWN, SHARED, _cells_of_one_tile, _copies, point_type
+from torchjoint.tiles.plan import NARROWEST, Survey, plan_tiles
 from torchjoint.tiles.stitching import matching_superpoints, stitch
-from torchjoint.tiles.survey import Survey
-from torchjoint.tiles.tile import OwnLabels, SharedLabels, TileTask, read_shared, segment_tile
+from torchjoint.tiles.tile import (
+    OWN,
+    SHARED,
+    OwnLabels,
+    SharedLabels,
+    TileTask,
+    _cells_of_one_tile,
+    _copies,
+    point_type,
+    read_shared,
+    segment_tile,
+)
 
 
 @pytest.fixture(scope="module")

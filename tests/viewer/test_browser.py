@@ -23,10 +23,10 @@ import torchjoint as tj
 from torchjoint.datasets.files import clouds
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.folder import write_result
-from torchjoint.results.label_colors import label_colors
-from torchjoint.scene.camera import camera_center
+from torchjoint.results.render import label_colors
+from torchjoint.scene.frame import camera_center
+from torchjoint.viewer.cloud import pick_point
 from torchjoint.viewer.painting import piece_colors, point_colors
-from torchjoint.viewer.pick import pick_point
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
@@ -474,8 +474,7 @@ def test_the_truth_beside_a_prediction(browser, out, scene_of):
 
 def test_parameters_of_a_run_in_memory(browser, out, scene_of):
     from torchjoint.viewer.app import Viewer
-    from torchjoint.viewer.parameters import LiveRun
-    from torchjoint.viewer.shown import Shown
+    from torchjoint.viewer.shown import LiveRun, Shown
 
     scene = scene_of(3).scene
     segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
@@ -495,7 +494,7 @@ def test_parameters_of_a_run_in_memory(browser, out, scene_of):
 
 def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
     from torchjoint.viewer.live import LiveView
-    from torchjoint.viewer.parameters import LiveRun
+    from torchjoint.viewer.shown import LiveRun
 
     scene, config = scene_of(3).scene, tj.Config().set(["boundary.detector=gradient"])
     live = LiveView(lambda url: None, share=1.0, port=8970)
@@ -546,7 +545,7 @@ def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
 
 
 def test_the_cloud_grows_while_frames_come(browser, scene_of):
-    from torchjoint.viewer.growing import GrowingView
+    from torchjoint.viewer.live import GrowingView
 
     frames = scene_of(3).scene.frames
     view, segmenter = GrowingView(lambda url: None, port=8980), tj.LiveSegmenter(voxel_size=0.04)

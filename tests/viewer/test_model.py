@@ -8,18 +8,15 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.results.edits import Edit, Edits, read_edits, write_edits
+from torchjoint.results.edits import Edit, Edits, place_to_split, read_edits, write_edits
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.shading import Shading
-from torchjoint.results.splits import place_to_split
 from torchjoint.scene import Hierarchy
-from torchjoint.viewer.cloud import blocks_of
-from torchjoint.viewer.model import Model
+from torchjoint.viewer.cloud import blocks_of, pick_point
+from torchjoint.viewer.model import Model, export_selected
 from torchjoint.viewer.painting import painted, point_colors
-from torchjoint.viewer.parameters import PARAMETERS
-from torchjoint.viewer.pick import pick_point
-from torchjoint.viewer.selection import export_selected
+from torchjoint.viewer.shown import PARAMETERS
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -525,7 +522,7 @@ def test_a_static_page_is_whole_and_upright(out, run, tmp_path, capsys):
 
 
 def test_a_run_in_memory_is_computed_again(scene_of):
-    from torchjoint.viewer.parameters import LiveRun
+    from torchjoint.viewer.shown import LiveRun
 
     scene = scene_of(3).scene
     segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
@@ -611,7 +608,7 @@ def test_looking_at_a_run_takes_a_bounded_share_of_its_time(monkeypatch):
 
 def test_lines_show_the_relations_of_what_is_selected():
     from torchjoint.results.relations import Relation
-    from torchjoint.viewer.relation_lines import COLORS, lines
+    from torchjoint.viewer.painting import COLORS, lines
 
     found = (Relation("stands on", 1, 0, 0.1, 1.0), Relation("touches", 0, 2, 0.1, 1.0))
     points = np.array([[0, 0, 0], [2, 0, 0], [1, 0, 4], [9, 9, 9]], dtype=np.float32)

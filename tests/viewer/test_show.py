@@ -17,8 +17,7 @@ import torchjoint as tj
 from torchjoint.cli.show import _open_page
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.page import write_page
-from torchjoint.viewer.superpoint_file import read_labelled_cloud
-from torchjoint.viewer.truth import with_truth
+from torchjoint.viewer.truth import read_labelled_cloud, with_truth
 
 
 def test_the_truth_is_in_the_order_of_the_result(scene_of, tmp_path):

@@ -14,9 +14,8 @@ import torchjoint as tj
 from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
-from torchjoint.scene.pose_warning import PoseWarning
-from torchjoint.views.edge_alignment import combined
-from torchjoint.views.pose_check import CHANCE, PoseCheck, frames_to_check
+from torchjoint.scene.frame import PoseWarning
+from torchjoint.views.pose_check import CHANCE, PoseCheck, combined, frames_to_check
 
 CONFIG = VisibilityConfig()
 SIZE = (240, 400)

@@ -7,10 +7,9 @@ import pickle
 import pytest
 import torch
 
-from torchjoint.runtime import spill
+from torchjoint.runtime import store as spill
 from torchjoint.scene import Masks
-from torchjoint.views.observation import Observation, PackedObservation
-from torchjoint.views.observations import Observations
+from torchjoint.views.observations import Observation, Observations, PackedObservation
 from torchjoint.views.visibility import Visible
 
 

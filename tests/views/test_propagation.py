@@ -5,7 +5,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.cloud.graph import CsrAdjacency
 from torchjoint.views.propagation import OVERLAP_RESOLUTION, disagreement, edge_contours, edge_overlaps
 from torchjoint.views.visibility import Visible
 

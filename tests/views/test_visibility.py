@@ -3,9 +3,8 @@ import torch
 
 from torchjoint.config import VisibilityConfig
 from torchjoint.views import visibility
-from torchjoint.views.hidden_point_removal import hidden_point_removal
 from torchjoint.views.projection import project
-from torchjoint.views.visibility import visible_points
+from torchjoint.views.visibility import hidden_point_removal, visible_points
 
 METHODS = ["zbuffer", "hidden_point_removal"]
 SIZE = (48, 64)

@@ -1,4 +1,4 @@
-"""Arguments and checks that several commands share: parameters of the method, frame limits, overwrite protection."""
+"""Arguments that several commands share."""
 
 from __future__ import annotations
 
@@ -9,9 +9,38 @@ from typing import Annotated
 
 import tyro
 
-from torchjoint.config import Config, presets
+from torchjoint.config import Config, marked_table, parameter_table, presets, superpoint_table
 from torchjoint.datasets.files.clouds import SUFFIXES
+from torchjoint.datasets.formats import FORMATS
+from torchjoint.recordings.options import RecordingOptions
 from torchjoint.runtime.outputs import Output
+
+
+def parameters(
+    stage: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[STAGE]")] = None,
+    superpoints: bool = False,
+) -> None:
+    """Prints the parameters of the method with default, unit, sensible range and effect (Markdown).
+
+    The first table lists the few parameters that users change, and the effect of values that are too low or too high.
+
+    Args:
+        stage: print only the parameters of this stage, such as paper.
+        superpoints: print the parameters of `torchjoint superpoints` instead, with their values in each preset.
+    """
+    if superpoints and stage is not None:
+        raise ValueError(f"parameters: expected no stage with --superpoints, which have one table, got {stage!r}")
+    if superpoints:
+        print(superpoint_table())
+    elif stage is not None:
+        print(parameter_table(stage))
+    else:
+        print(f"{marked_table()}\n\n{parameter_table()}")
+
+
+def formats() -> None:
+    """Lists the formats of recordings, and the files that each one needs; docs/your_data.md says more."""
+    print("\n".join(f"{name:13} {module.WHAT}" for name, module in FORMATS.items()))
 
 
 @dataclass(frozen=True)
@@ -104,3 +133,24 @@ def _is_kind(file: Path, kinds: tuple[str, ...]) -> bool:
     if file.is_dir():
         return file.name == "predicted_masks" and all(mask.suffix in kinds for mask in file.iterdir())
     return file.suffix in kinds
+
+
+@dataclass(frozen=True)
+class Reading(RecordingOptions):
+    """How recordings are read.
+
+    Attributes:
+        topics: for a ROS recording, if several topics fit a role: --topics color=/front/image_raw. The roles are color,
+            info, depth, points and odometry.
+    """
+
+    topics: tuple[str, ...] = ()  # type: ignore[assignment]
+
+    def options(self) -> RecordingOptions:
+        """The options with the topics by their roles."""
+        return RecordingOptions(**vars(self) | {"topics": read_topics(self.topics)})
+
+
+#: The command line's defaults.
+AS_IT_IS = Reading()
+FlatReading = tyro.conf.OmitArgPrefixes[Reading]

@@ -6,9 +6,8 @@ import sys
 
 import tyro
 
-from torchjoint.cli._log import printed_log
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out
-from torchjoint.cli.reading import AS_IT_IS, FlatReading
+from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, Out
+from torchjoint.cli.output import printed_log
 from torchjoint.recordings import BatchReport
 from torchjoint.recordings import batch as run_batch
 from torchjoint.recordings.scene_list import FAILURES, SUMMARY

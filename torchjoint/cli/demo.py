@@ -7,9 +7,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from torchjoint import metrics
-from torchjoint.cli._log import printed_log
-from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
+from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import live_view, show_result
 from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.runtime.messages import say

@@ -8,14 +8,12 @@ from typing import Literal
 
 import tyro
 
-from torchjoint.results.box_edits import edits_of_boxes
 from torchjoint.results.boxes import read_boxes
 from torchjoint.results.edits import FILE, read_edits
 from torchjoint.results.folder import parts_of
 from torchjoint.results.loading import load_result
 from torchjoint.results.parts import Parts, edited
-from torchjoint.results.point_edits import edits_of_points, read_point_labels
-from torchjoint.results.shared_edits import save_edits
+from torchjoint.results.shared_edits import edits_of_boxes, edits_of_points, read_point_labels, save_edits
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import check_no_input
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import tyro
 
-from torchjoint.cli._log import printed_log
-from torchjoint.cli._summary import summarize
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out, output_file, read_topics
+from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
 from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
@@ -21,10 +20,10 @@ from torchjoint.results.output_folder import output_folder
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.subset import subset
+from torchjoint.scene.scene import subset
 
 if TYPE_CHECKING:
-    from torchjoint.viewer.growing import GrowingView
+    from torchjoint.viewer.live import GrowingView
 
 
 def live(

@@ -9,10 +9,8 @@ from typing import Literal
 
 import tyro
 
-from torchjoint.cli._log import printed_log
-from torchjoint.cli._summary import summarize
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out
-from torchjoint.cli.reading import AS_IT_IS, FlatReading
+from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, Out
+from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import live_view, show_result
 from torchjoint.engine import open_engine
 from torchjoint.recordings import segment_recording

@@ -34,8 +34,7 @@ from torchjoint.scene.hierarchy import check_granularity
 
 if TYPE_CHECKING:
     from torchjoint.viewer.app import Viewer
-    from torchjoint.viewer.growing import GrowingView
-    from torchjoint.viewer.live import LiveView
+    from torchjoint.viewer.live import GrowingView, LiveView
 
 
 def show(
@@ -98,7 +97,7 @@ def growing_view(now: bool) -> GrowingView | None:
     """A page for live segmentation if `now` is True; otherwise None."""
     if not now:
         return None
-    from torchjoint.viewer.growing import GrowingView
+    from torchjoint.viewer.live import GrowingView
 
     return GrowingView(_open_page)
 
@@ -108,14 +107,14 @@ def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, sce
     if view is None:
         say(f"torchjoint show {out}: look at it in the browser")
         return
-    from torchjoint.viewer.parameters import LiveRun
+    from torchjoint.viewer.shown import LiveRun
 
     serve_until_interrupted(view.finish(out, LiveRun(segmenter, scene)))
 
 
 def _read(out: Path, truth: bool) -> Result:
     if has_file(out):
-        from torchjoint.viewer.superpoint_file import read_labelled_cloud
+        from torchjoint.viewer.truth import read_labelled_cloud
 
         if truth:
             raise ValueError("--truth: expected a result's folder, got a file")

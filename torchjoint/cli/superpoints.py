@@ -118,7 +118,7 @@ def superpoints(
 
 
 def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor) -> None:
-    from torchjoint.results.label_colors import label_colors
+    from torchjoint.results.render import label_colors
 
     if out.suffix == ".ply":
         write_cloud(out, scene.points, label_colors(labels), labels)

@@ -1,21 +1,45 @@
-"""Step 3: the point graph: nearest neighbours, edges and normals of the cloud."""
+"""Step 3: the point graph: nearest neighbours, edges, normals, and the sides to which normals point."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.cloud._vectors import dot
 from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors, neighbor_tables
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.cloud.scales import Scales
 from torchjoint.runtime.threads import all_threads
 from torchjoint.scene import Cloud
+from torchjoint.scene.frame import camera_center
+
+
+class CsrAdjacency(NamedTuple):
+    """CSR adjacency of a graph. It gives the edges of some points without a pass over all edges."""
+
+    order: Tensor  #: [E] int32, edge numbers, sorted by the edges' first points
+    other_end: Tensor  #: [E] int32, the second point of each edge, in the same order
+    start: Tensor  #: [N + 1] int32, the place in `order` where the edges of each point start
+
+    @classmethod
+    def of(cls, edge_index: Tensor, num_points: int) -> CsrAdjacency:
+        """Sorts the edges of a graph.
+
+        Args:
+            edge_index: [2, E] int64, each undirected edge once.
+            num_points: N.
+        """
+        order = torch.argsort(edge_index[0], stable=True)
+        start = torch.zeros(num_points + 1, dtype=torch.int32)
+        start[1:] = torch.cumsum(torch.bincount(edge_index[0], minlength=num_points), 0)
+        return cls(order.to(torch.int32), edge_index[1, order].to(torch.int32), start)
+
 
 #: Number of neighbours to which planes are fitted, the same as for normals by default. Of these only the neighbours in
 #: the point's own region are used, so a plane, unlike a normal, does not round edges.
@@ -136,3 +160,30 @@ def undirected_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     """
     with all_threads():
         return ops.neighbor_edges(neighbors, order)
+
+
+def orientation_votes(graph: PointGraph, point: Tensor, world_to_camera: Tensor) -> Tensor:
+    """The direction of normals relative to a camera: [M] int64, 1 = towards it, -1 = away from it, 0 = neither.
+
+    Args:
+        graph: points and normals.
+        point: [M] int64, the points that the camera sees.
+        world_to_camera: [4, 4].
+    """
+    towards_camera = camera_center(world_to_camera).float() - graph.points[point]
+    return dot(graph.normals[point], towards_camera).sign().long()
+
+
+def orient_normals(graph: PointGraph, facing: Tensor) -> tuple[Tensor, Tensor]:
+    """Turns normals to the cameras, because a surface is seen from outside.
+
+    Args:
+        graph: the graph with the normals.
+        facing: [N] int64, sum of :func:`orientation_votes` over the images that see a point.
+
+    Returns:
+        normals [N, 3], and whether each normal is oriented, [N] bool.
+    """
+    if graph.has_given_normals:  # cameras are more reliable than a file, but without cameras trust the file
+        facing = torch.where(facing == 0, 1, facing)
+    return torch.where(facing[:, None] < 0, -graph.normals, graph.normals), facing != 0

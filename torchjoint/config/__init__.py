@@ -4,17 +4,31 @@ Each parameter is declared once (:mod:`torchjoint.config.parameter`). The checks
 declaration. An unknown name or a bad value raises an error that names the parameter.
 """
 
-from torchjoint.config.afterwards import evidence_config, evidence_differences
-from torchjoint.config.config import Config
-from torchjoint.config.images import DETECTORS, BoundaryConfig, ContoursConfig, ImageGraphConfig, ImageSegmentsConfig
-from torchjoint.config.labels import RefinementConfig
-from torchjoint.config.paper import PaperConfig
-from torchjoint.config.points import PointGraphConfig, PointSegmentsConfig
-from torchjoint.config.presets import presets, read_assignment, read_preset, read_yaml
-from torchjoint.config.scan import ScanConfig
+from torchjoint.config.config import (
+    Config,
+    evidence_config,
+    evidence_differences,
+    presets,
+    read_assignment,
+    read_preset,
+    read_yaml,
+)
+from torchjoint.config.stages import (
+    DETECTORS,
+    BoundaryConfig,
+    ContoursConfig,
+    ImageGraphConfig,
+    ImageSegmentsConfig,
+    PaperConfig,
+    PointGraphConfig,
+    PointSegmentsConfig,
+    PropagationConfig,
+    RefinementConfig,
+    ScanConfig,
+    VisibilityConfig,
+)
 from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
 from torchjoint.config.tables import marked_parameters, marked_table, parameter_table, superpoint_table
-from torchjoint.config.views import PropagationConfig, VisibilityConfig
 
 __all__ = [
     "DETECTORS",

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from torchjoint.config.config import presets, read_assignment, read_preset
 from torchjoint.config.parameter import Stage, parameter
-from torchjoint.config.presets import presets, read_assignment, read_preset
 
 
 @dataclass(frozen=True)

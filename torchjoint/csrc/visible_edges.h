@@ -8,7 +8,7 @@
 
 namespace torchjoint {
 
-// Walks a graph in CSR form (see cloud/adjacency.py). M points are visible; the slot of a point is its index among them.
+// Walks a graph in CSR form (see cloud/graph.py). M points are visible; the slot of a point is its index among them.
 class VisibleEdges {
  public:
   VisibleEdges(const Tensor& order, const Tensor& other_end, const Tensor& start, const Tensor& point,

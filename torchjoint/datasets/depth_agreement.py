@@ -12,8 +12,8 @@ from torch import Tensor
 from torchjoint.datasets.cameras import FLIP_YZ
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
-from torchjoint.scene.pose_warning import CONVENTIONS, PoseWarning
-from torchjoint.scene.subset import evenly_spaced_indices
+from torchjoint.scene.frame import CONVENTIONS, PoseWarning
+from torchjoint.scene.scene import evenly_spaced_indices
 
 #: Number of pairs of frames that are compared, and the farthest partner of a frame, as a share of the sequence.
 PAIRS, REACH = 6, 0.1

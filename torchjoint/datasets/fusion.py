@@ -22,8 +22,8 @@ from torchjoint.runtime.files import cache_folder
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
-from torchjoint.scene.camera import camera_center
-from torchjoint.scene.subset import evenly_spaced_indices
+from torchjoint.scene.frame import camera_center
+from torchjoint.scene.scene import evenly_spaced_indices
 
 #: Depth beyond this, metres, is ignored: a depth camera's error grows with the square of the distance.
 FAR = 5.0

@@ -18,11 +18,11 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.fusion import fuse_or_recall
 from torchjoint.runtime.foreign_files import has_file
-from torchjoint.runtime.lazy import LazySequence
 from torchjoint.runtime.outputs import Output
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.camera import camera_center
 from torchjoint.scene.checks import Invalid
+from torchjoint.scene.frame import camera_center
 
 #: Suffixes of a file `cloud` in a recording's folder; the first that exists is used.
 CLOUD_SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".copc.laz", ".e57")

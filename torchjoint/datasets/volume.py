@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops.internal import CHANNELS, SIDE, UNIT, integrate_depth
-from torchjoint.runtime.sorted_groups import find
-from torchjoint.runtime.spill import SpillFile
+from torchjoint.runtime.groups import find
+from torchjoint.runtime.store import SpillFile
 from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Most blocks of a volume: 5 GB.

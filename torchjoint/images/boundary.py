@@ -1,17 +1,70 @@
-"""Step 1: makes the boundary detector, a module from images [B, 3, H, W] to boundary strength [B, H, W] in [0, 1].
-
-Any :class:`torch.nn.Module` of this signature can replace it: ``JointSegmenter(boundary=module)``.
-"""
+"""Step 1: the boundary detector that a config names; and the one by gradients."""
 
 from __future__ import annotations
 
 from importlib import import_module
 
-from torch import nn
+import kornia
+import torch
+from torch import Tensor, nn
 
 from torchjoint.config import BoundaryConfig
-from torchjoint.images.gradient_boundary import GradientBoundary
-from torchjoint.images.structured_forest import MULTI_SCALE, StructuredForestBoundary
+from torchjoint.images.contours import smooth
+from torchjoint.images.forest import MULTI_SCALE, StructuredForestBoundary
+from torchjoint.runtime.threads import parallel_map
+
+#: Standard deviation of the blur before the gradient, pixels. It suppresses the noise of a camera but keeps edges.
+GRADIENT_SMOOTHING = 1.0
+
+#: Gradient at which the boundary is 1 - 1/e, Lab units per pixel. Clear edges exceed it; shading is far below it.
+CONTRAST = 8.0
+
+
+class GradientBoundary(nn.Module):
+    """Gradient magnitude of the smoothed image in CIE Lab, b = 1 - exp(-|g| / contrast).
+
+    Distances in Lab are close to the differences that people perceive, so one contrast suits dark and bright scenes.
+
+    Args:
+        smoothing: standard deviation of the Gaussian, pixels; 0 = none.
+        contrast: gradient at which b = 1 - 1/e, Lab units per pixel.
+    """
+
+    def __init__(self, smoothing: float = GRADIENT_SMOOTHING, contrast: float = CONTRAST) -> None:
+        super().__init__()
+        self.smoothing = smoothing
+        self.contrast = contrast
+
+    @torch.no_grad()
+    def forward(self, images: Tensor) -> Tensor:
+        """Boundary strength of images: [B, 3, H, W] RGB in [0, 1] -> [B, H, W] in [0, 1].
+
+        The result of an image does not depend on the other images, bit for bit.
+
+        Raises:
+            ValueError: a shape other than [B, 3, H, W].
+        """
+        if images.ndim != 4 or images.shape[1] != 3:
+            raise ValueError(f"images: expected shape [B, 3, H, W], got {list(images.shape)}")
+        if images.shape[0] == 0:
+            return images[:, 0]
+        return torch.stack(parallel_map(self._single, images))
+
+    def _single(self, image: Tensor) -> Tensor:
+        lab = smooth(kornia.color.rgb_to_lab(image[None].contiguous()), self.smoothing)
+        magnitude = _gradient(lab[0]).square_().sum(dim=(0, 1)).sqrt_()
+        return 1 - torch.exp(-magnitude / self.contrast)
+
+
+def _gradient(values: Tensor) -> Tensor:
+    """Central differences to the right and down, with replicated image borders: [C, H, W] -> [C, 2, H, W]."""
+    # The same as kornia's spatial_gradient(mode="diff"), but ten times faster than its convolution.
+    height, width = values.shape[1:]
+    padded = torch.nn.functional.pad(values[None], (1, 1, 1, 1), mode="replicate")[0]
+    gradient = values.new_empty(values.shape[0], 2, height, width)
+    torch.sub(padded[:, 1:-1, 2:], padded[:, 1:-1, :-2], out=gradient[:, 0])
+    torch.sub(padded[:, 2:, 1:-1], padded[:, :-2, 1:-1], out=gradient[:, 1])
+    return gradient.div_(2)
 
 
 def make_boundary(config: BoundaryConfig, allow_import: bool = False) -> nn.Module:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
-from torchjoint.images.smoothing import smooth
+from torchjoint.images.contours import smooth
 
 
 @lru_cache(maxsize=2)

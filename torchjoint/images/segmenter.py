@@ -1,23 +1,60 @@
-"""Steps 1 and 2 together: boundaries and initial labels of a batch of frames."""
+"""Steps 1 and 2 together: boundaries and initial labels of a batch of frames, which are brightened if they are dark."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from torchjoint.config import Config
-from torchjoint.images._eval_mode import eval_mode
 from torchjoint.images.boundary import make_boundary
 from torchjoint.images.contours import close_contours, outlines
 from torchjoint.images.pixel_graph import segment_image
-from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Masks
 from torchjoint.scene.checks import as_labels
 from torchjoint.scene.masks import as_masks
+
+
+@contextmanager
+def eval_mode(module: nn.Module) -> Iterator[None]:
+    """Sets a module and all its parts to evaluation mode inside a block, and restores their modes afterwards.
+
+    In training mode the output would depend on the batches of frames. The old modes are restored because the module
+    belongs to the caller.
+    """
+    before = [(part, part.training) for part in module.modules()]
+    module.eval()
+    try:
+        yield
+    finally:
+        for part, training in before:
+            part.training = training
+
+
+#: Least mean of colours. The data that the model was trained on have 0.3 to 0.55.
+LEAST_MEAN = 0.3
+
+
+def brightened(colors: Tensor) -> Tensor:
+    """Scales colours so that their mean is at least LEAST_MEAN; what becomes brighter than 1 is 1.
+
+    Zeros and NaNs do not count: they are mostly pixels and points without a colour.
+
+    Args:
+        colors: RGB in [0, 1], of any shape.
+    """
+    if float(colors.mean()) >= LEAST_MEAN:  # the usual case, for which copies would take time
+        return colors
+    known = torch.nan_to_num(colors)
+    total, count = float(known.double().sum()), int(torch.count_nonzero(known))
+    if total >= LEAST_MEAN * count:
+        return colors
+    return (colors * (LEAST_MEAN * count / total)).clamp(max=1)
 
 
 class ImageSegments(NamedTuple):

@@ -7,16 +7,15 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.config import Config
+from torchjoint.labels.cuts import cut
 from torchjoint.labels.geodesic import PieceNumbers, propagate, propagate_pieces
 from torchjoint.labels.joint_ids import private_id_offsets
 from torchjoint.labels.mask_labels import label_masks
-from torchjoint.labels.segment_refinement import cut
-from torchjoint.runtime.packing import Packed, pack
-from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.runtime.messages import Stopwatch
+from torchjoint.runtime.store import Packed, pack
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy, LabelImages
-from torchjoint.views.observation import Observation
-from torchjoint.views.observations import Observations
+from torchjoint.views.observations import Observation, Observations
 
 
 def label_images(

@@ -15,11 +15,11 @@ from torchjoint.cloud.graph import PointGraph
 from torchjoint.config import Config
 from torchjoint.labels.image_labels import label_images
 from torchjoint.labels.piece_images import piece_images
-from torchjoint.runtime.first_places import numbers_by_first_place
-from torchjoint.runtime.lazy import LazySequence
-from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.runtime.groups import numbers_by_first_place
+from torchjoint.runtime.messages import Stopwatch
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Hierarchy, Segmentation
-from torchjoint.scene.level_images import level_images
+from torchjoint.scene.segmentation import level_images
 from torchjoint.views.evidence import Evidence
 
 

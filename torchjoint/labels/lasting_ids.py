@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.most_frequent import most_frequent
+from torchjoint.runtime.groups import most_frequent
 
 
 class Changes(NamedTuple):

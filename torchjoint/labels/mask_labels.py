@@ -10,10 +10,9 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.config import Config
 from torchjoint.labels.geodesic import MIN_POINTS as SPECK
-from torchjoint.labels.geodesic import path_costs
-from torchjoint.labels.markers import nearest_labels
+from torchjoint.labels.geodesic import nearest_labels, path_costs
 from torchjoint.scene import Masks
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observation
 
 #: A mask, or an atom of masks, is one object if at least this share of its points have one 3D label. The other points
 #: mostly lie beside it; their pixels are wrong by one or two.

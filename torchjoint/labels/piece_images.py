@@ -9,15 +9,12 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import Config
-from torchjoint.labels.geodesic import path_costs
-from torchjoint.labels.markers import nearest_labels, without_outvoted
-from torchjoint.runtime.first_places import first_places
-from torchjoint.runtime.lazy import LazySequence
-from torchjoint.runtime.packing import Packed, pack
-from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.labels.geodesic import nearest_labels, path_costs, without_outvoted
+from torchjoint.runtime.groups import first_places
+from torchjoint.runtime.store import Packed, pack
+from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene import Hierarchy
-from torchjoint.views.observation import Observation
-from torchjoint.views.observations import Observations
+from torchjoint.views.observations import Observation, Observations
 
 
 def piece_images(

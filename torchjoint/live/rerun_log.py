@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from torchjoint.live.segmenter import LiveResult
-from torchjoint.results.label_colors import label_colors
-from torchjoint.runtime.extras import needed_for
+from torchjoint.results.render import label_colors
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.messages import needed_for
 from torchjoint.scene import Frame
-from torchjoint.scene.camera import camera_center
+from torchjoint.scene.frame import camera_center
 
 #: Rerun's classes have 16 bits; 0 stands for no thing.
 CLASSES = 2**16 - 1

@@ -12,15 +12,11 @@ Arguments may be tensors on any device, or NumPy arrays. Every error is a ValueE
 argument or the file, says what was expected, and what came.
 """
 
+from torchjoint.masks.arrays import from_labels, from_stack
 from torchjoint.masks.coco import from_coco
-from torchjoint.masks.files import read_masks, save_masks
-from torchjoint.masks.folder import read_folder
-from torchjoint.masks.instances import from_instances
-from torchjoint.masks.labels import from_labels
+from torchjoint.masks.folder import read_folder, read_masks, save_masks
 from torchjoint.masks.module import from_module
-from torchjoint.masks.panoptic import from_panoptic
-from torchjoint.masks.sam import from_sam
-from torchjoint.masks.stack import from_stack
+from torchjoint.masks.networks import from_instances, from_panoptic, from_sam
 from torchjoint.scene.masks import Masks
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Converts outputs of networks (NumPy arrays, tensors on any device) to tensors on the CPU."""
+"""Masks from arrays and label images."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.archives import as_int64
+from torchjoint.runtime.threads import on_cpu
+from torchjoint.scene.masks import Masks
 
 
 def as_tensor(values: Any, name: str) -> Tensor:
@@ -54,3 +56,40 @@ def as_scores(scores: Any, name: str) -> Tensor | None:
     if isinstance(scores, (list, tuple)):
         scores = np.array(scores, dtype=np.float64).reshape(len(scores))
     return as_tensor(scores, name).float()
+
+
+@on_cpu()
+def from_stack(stack: Any, scores: Any = None) -> Masks:
+    """Masks that may overlap and nest.
+
+    Args:
+        stack: [M, H, W] booleans, or numbers 0 and 1.
+        scores: optional [M] in [0, 1]; default 1.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+
+    >>> import torch
+    >>> from_stack(torch.tensor([[[1, 1, 0]], [[1, 0, 0]]]), scores=[0.9, 0.8])
+    Masks(2 masks, 1 x 3 pixels, 67% covered)
+    """
+    return Masks.from_stack(as_binary(stack, "stack"), as_scores(scores, "scores"), "stack")
+
+
+@on_cpu()
+def from_labels(labels: Any, scores: Any = None, none: int = -1) -> Masks:
+    """Masks that do not overlap.
+
+    Args:
+        labels: [H, W] integers, a mask for each value.
+        scores: optional [M] in [0, 1], a score for each mask, in ascending order of the values; default 1.
+        none: the value of pixels without a mask, -1 or 0.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+
+    >>> import torch
+    >>> from_labels(torch.tensor([[0, 0, 3], [0, 7, 7]]), none=0)
+    Masks(2 masks, 2 x 3 pixels, 50% covered)
+    """
+    return Masks.from_labels(as_tensor(labels, "labels"), as_scores(scores, "scores"), none, "labels")

@@ -8,11 +8,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from torchjoint.masks.instances import from_instances
-from torchjoint.masks.labels import from_labels
-from torchjoint.masks.panoptic import from_panoptic
-from torchjoint.masks.sam import from_sam
-from torchjoint.masks.stack import from_stack
+from torchjoint.masks.arrays import from_labels, from_stack
+from torchjoint.masks.networks import from_instances, from_panoptic, from_sam
 from torchjoint.scene.masks import Masks
 
 

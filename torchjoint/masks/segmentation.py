@@ -14,9 +14,8 @@ import numpy.typing as npt
 from torch import Tensor
 
 from torchjoint.masks.arrays import as_binary
-from torchjoint.masks.polygon import polygon_pixels, work_of
-from torchjoint.masks.rle import declared_pixels, rle_pixels
-from torchjoint.runtime import bounds
+from torchjoint.masks.rle import declared_pixels, polygon_pixels, rle_pixels, work_of
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.scene.masks import Masks
 
 Size = tuple[int, int]

@@ -33,7 +33,7 @@ from torchjoint.metrics.superpoints import (
     boundary_recall,
     undersegmentation_error,
 )
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.messages import needed_for
 
 if TYPE_CHECKING:
     from torchjoint.metrics.modules import (

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.first_places import numbers_by_first_place
+from torchjoint.runtime.groups import numbers_by_first_place
 from torchjoint.runtime.threads import on_cpu
 
 INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)

@@ -97,7 +97,7 @@ def window_overlaps(
 
     Args:
         order, other_end, start: ``[E]``, ``[E]``, ``[N + 1]`` int32, the CSR adjacency of the graph, each undirected
-            edge once (:class:`torchjoint.cloud.adjacency.CsrAdjacency`).
+            edge once (:class:`torchjoint.cloud.graph.CsrAdjacency`).
         point, row, column: ``[M]`` int64, the nodes that the image sees, each once, and the pixels that contain them.
         labels, window: ``[H, W]`` int32, negative = none; side of the windows, pixels, odd.
 

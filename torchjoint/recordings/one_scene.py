@@ -16,9 +16,8 @@ from torchjoint.recordings.segment import segment_recording
 from torchjoint.results.folder import Origin, read_origin, read_record
 from torchjoint.results.output_folder import own_files
 from torchjoint.runtime.foreign_files import has_file, is_there
-from torchjoint.runtime.locks import BusyError
-from torchjoint.runtime.memory import as_bytes
-from torchjoint.runtime.peak_memory import peak_memory, reset_peak_memory
+from torchjoint.runtime.memory import as_bytes, peak_memory, reset_peak_memory
+from torchjoint.runtime.outputs import BusyError
 
 #: If another worker writes the result: seconds between checks whether it is done, and longest wait, seconds. A worker
 #: that lost its connection continues for a while, although its scene was given to another worker.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torchjoint.config import Config
 from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.scene.scene import voxel_subsample
 from torchjoint.views.projection import in_any_view
 
 

@@ -23,18 +23,25 @@ from torchjoint.config import Config, read_yaml
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.results.figures import overview
-from torchjoint.results.hierarchy_files import HIERARCHY, PIECES, read_hierarchy, read_piece_image, write_hierarchy
 from torchjoint.results.inputs import CAMERAS, read_inputs, read_names, write_inputs
-from torchjoint.results.label_colors import label_colors
 from torchjoint.results.manifest import FILE as MANIFEST
-from torchjoint.results.manifest import Check, unchecked, write_manifest
+from torchjoint.results.manifest import (
+    HIERARCHY,
+    PIECES,
+    Check,
+    read_hierarchy,
+    read_piece_image,
+    unchecked,
+    write_hierarchy,
+    write_manifest,
+)
 from torchjoint.results.objects import write_segments
+from torchjoint.results.render import label_colors
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.foreign_files import damage_is, has_file, present
-from torchjoint.runtime.lazy import LazySequence
-from torchjoint.runtime.packing import pack
-from torchjoint.runtime.threads import on_cpu, parallel_map
+from torchjoint.runtime.store import pack
+from torchjoint.runtime.threads import LazySequence, on_cpu, parallel_map
 from torchjoint.scene import Cloud, LabelImages, Scene, Segmentation
 from torchjoint.scene.checks import as_labels
 

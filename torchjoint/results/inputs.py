@@ -16,13 +16,12 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_image
+from torchjoint.results.figures import overlay
 from torchjoint.results.manifest import Check, unchecked
 from torchjoint.results.mask_report import MaskFates, compare_masks, write_mask_report
-from torchjoint.results.overlays import overlay
 from torchjoint.runtime.files import file_name, frame_files, write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
-from torchjoint.runtime.lazy import LazySequence
-from torchjoint.runtime.threads import parallel_map
+from torchjoint.runtime.threads import LazySequence, parallel_map
 from torchjoint.scene import Frame, Masks, Scene, Segmentation
 
 CAMERAS, INPUTS, OVERLAYS = "cameras.json", "inputs", "images_color"

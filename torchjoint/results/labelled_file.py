@@ -7,30 +7,87 @@ vertices than the result has points: those that were thinned out, faint splats, 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable, Mapping
+from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import las, meshes
 from torchjoint.datasets.files.columns import CloudFile
-from torchjoint.datasets.files.ply import (
-    PlyRecords,
-    parse_records,
-    read_ply,
-    read_records,
-    write_bytes,
-    write_cloud,
-)
-from torchjoint.results.label_colors import label_colors
-from torchjoint.results.labelled_las import check_dimension, write_labelled
+from torchjoint.datasets.files.las import las_chunks, las_library, open_las
+from torchjoint.datasets.files.ply import PlyRecords, parse_records, read_ply, read_records, write_bytes, write_cloud
+from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
-from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import file_name
 from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import without_return
+
+#: Records that describe how a file stores its points; they do not fit the copy, which stores them in another way.
+_STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
+
+
+def check_dimension(path: Path, name: str) -> None:
+    """Checks that a file does not have a dimension yet.
+
+    Raises:
+        ValueError: the file has it.
+    """
+    with open_las(path) as reader:
+        if name in set(reader.header.point_format.dimension_names):
+            raise ValueError(f"{path}: expected no dimension {name}, got one; remove it first")
+
+
+def write_labelled(
+    path: Path,
+    out: Path,
+    columns: Mapping[str, npt.NDArray[Any]],
+    progress: Callable[[int], object] = lambda count: None,
+) -> int:
+    """Copies a file, with all dimensions and records (such as the coordinate system), in the same order.
+
+    Args:
+        path: .las or .laz. A .copc.laz becomes a plain .laz: its points keep their order, but lose the octree.
+        out: .las or .laz; the suffix determines the format.
+        columns: new dimensions by name: [N or more] numbers; they may be mapped from disk.
+        progress: is called with the number of points of each part.
+
+    Returns:
+        N, the number of points.
+    """
+    laspy, done = las_library(), 0
+    with open_las(path, only_places=False) as reader:
+        header = _header(laspy, reader.header, columns)
+        with laspy.open(out, "w", header=header, do_compress=out.suffix.lower() == ".laz") as writer:
+            for chunk in las_chunks(reader, path):
+                record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=writer.header)
+                for name in chunk.array.dtype.names:  # the stored numbers, not scaled coordinates: an exact copy
+                    record.array[name] = chunk.array[name]
+                for name, values in columns.items():
+                    record.array[name] = values[done : done + len(chunk)]
+                writer.write_points(record)
+                done += len(chunk)
+                progress(len(chunk))
+            extended = [record for record in reader.evlrs or () if type(record).__name__ not in _STORAGE]
+            if extended:
+                writer.write_evlrs(laspy.vlrs.vlrlist.VLRList(extended))
+    return done
+
+
+def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
+    header = deepcopy(given)
+    header.vlrs = [record for record in header.vlrs if type(record).__name__ not in _STORAGE]
+    header.evlrs = None
+    for name, values in columns.items():
+        header.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype, "of torchjoint"))
+    return header
+
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
 FAR = 0.25

@@ -16,7 +16,7 @@ from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
 from torchjoint.scene import Masks
-from torchjoint.scene.level_images import level_images
+from torchjoint.scene.segmentation import level_images
 
 FILE = "masks.json"
 #: A mask became a segment if their IoU in the frame is at least this.

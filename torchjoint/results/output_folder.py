@@ -6,7 +6,7 @@ moved into the partial folder, as `.replaced`, then the partial folder is rename
 deleted. OUT cannot be renamed if a file system is mounted there (a container's volume), or if its parent folder is
 read-only. Then the partial folder is inside OUT, and the contents of OUT are moved one by one.
 
-Markers count only in the folder that the run made (:mod:`torchjoint.runtime.work_folder`). What the run did not see at
+Markers count only in the folder that the run made (:mod:`torchjoint.runtime.outputs`). What the run did not see at
 OUT when it began is not replaced (:mod:`torchjoint.runtime.outputs`): the result then waits in the partial folder.
 """
 
@@ -24,9 +24,20 @@ from typing import NamedTuple
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.runtime.files import no_link
 from torchjoint.runtime.foreign_files import damage_is
-from torchjoint.runtime.locks import lock
-from torchjoint.runtime.outputs import Seen, check_no_input, check_unchanged, is_fixed, move_new, put, seen
-from torchjoint.runtime.work_folder import SOURCE, read_sealed, work_folder, write_sealed
+from torchjoint.runtime.outputs import (
+    SOURCE,
+    Seen,
+    check_no_input,
+    check_unchanged,
+    is_fixed,
+    lock,
+    move_new,
+    put,
+    read_sealed,
+    seen,
+    work_folder,
+    write_sealed,
+)
 
 #: Files in a partial folder: the marker that it is complete; the marker that the earlier result has moved.
 COMPLETE, PLACING = "complete.txt", "placing.txt"

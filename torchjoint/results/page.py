@@ -18,19 +18,18 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.results.edits import Edits
-from torchjoint.results.label_colors import label_colors
-from torchjoint.results.oriented_box import level_axes
+from torchjoint.results.objects import level_axes
 from torchjoint.results.parts import Parts
+from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction, view_from_above
-from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.messages import printable
+from torchjoint.runtime.messages import needed_for, printable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_direction
-from torchjoint.scene.subset import evenly_spaced_indices
+from torchjoint.scene.scene import evenly_spaced_indices
 
 #: Largest number of points and of images in the page, and height of an image in pixels.
 MOST_POINTS, MOST_IMAGES, HEIGHT = 100_000, 8, 150

@@ -10,7 +10,7 @@ import torch
 
 from torchjoint.results.edits import Edits, Table, first_pieces
 from torchjoint.results.result import Result
-from torchjoint.scene.level_images import level_images
+from torchjoint.scene.segmentation import level_images
 
 
 @dataclass(frozen=True)

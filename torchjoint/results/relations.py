@@ -18,8 +18,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.results.objects import FILE, add_to_segments, read_segments, stored_labels
-from torchjoint.results.oriented_box import level_axes, oriented_box
+from torchjoint.results.objects import FILE, add_to_segments, level_axes, oriented_box, read_segments, stored_labels
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.scene import Scene, Segmentation

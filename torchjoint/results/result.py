@@ -10,13 +10,12 @@ from typing import Any
 from torch import Tensor
 
 from torchjoint.config import Config
-from torchjoint.results.crops import Crop, best_crops, check_segment
-from torchjoint.results.embeddings import Embeddings, Encoder, embed
-from torchjoint.results.label_colors import label_colors
+from torchjoint.results.embeddings import Crop, Embeddings, Encoder, best_crops, check_segment, embed
 from torchjoint.results.objects import SegmentRecord, segment_records
 from torchjoint.results.picking import Pick, Pixels, Prompts, pick
 from torchjoint.results.relations import Relations, relations
-from torchjoint.runtime.extras import needed_for
+from torchjoint.results.render import label_colors
+from torchjoint.runtime.messages import needed_for
 from torchjoint.scene import Scene, Segmentation
 
 
@@ -73,7 +72,7 @@ class Result(Segmentation):
         return cloud.select_points(self.points == segment)
 
     def crops(self, segment: int, k: int = 3, margin: float = 0.1) -> list[Crop]:
-        """Crops the frames that show a segment best, best first; see :func:`~torchjoint.results.crops.best_crops`.
+        """Crops the frames that show a segment best, best first; see :func:`~torchjoint.results.embeddings.best_crops`.
 
         Args:
             segment: id of a segment of the cloud.

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.results.edits import Table
-from torchjoint.results.oriented_box import level_axes
+from torchjoint.results.objects import level_axes
 
 #: Numbers of neighbours: of a normal, and of those whose label may differ at an edge.
 NORMAL, EDGE = 20, 6

@@ -1,14 +1,181 @@
-"""Saves corrections by hand (output after step 8) that several programs may make at once, such as two viewers."""
+"""Corrections that came from other programs, or from several people at once."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from torchjoint.datasets.files.text import read_record
+from torchjoint.results.boxes import UNNAMED, Box, boxes_of
 from torchjoint.results.edits import FILE, Edit, Edits, read_edits, write_edits
 from torchjoint.results.parts import Parts
-from torchjoint.runtime.locks import lock
+from torchjoint.results.result import Result
+from torchjoint.runtime.messages import printable
+from torchjoint.runtime.outputs import lock
+
+Array = npt.NDArray[np.int64]
+
+
+class PointLabels(NamedTuple):
+    """Objects of Segments.ai, by their ids."""
+
+    of_point: Array  #: [N] the object of each point; 0: none
+    names: Mapping[int, str]  #: of the objects whose attribute `name` is in the file
+
+
+def read_point_labels(file: Path, num_points: int) -> PointLabels | None:
+    """Reads a label of segmentation of Segments.ai (docs.segments.ai, label types); None: the file is none.
+
+    Raises:
+        FileNotFoundError, ValueError: the message names the file and its error.
+    """
+    if file.suffix.lower() != ".json":
+        return None
+    record = read_record(file, "boxes or labels of points")
+    record = record.record("attributes") if "attributes" in record else record  # of a whole label
+    if "point_annotations" not in record:
+        return None
+    of_point, names = record.integers("point_annotations"), {}
+    if len(of_point) != num_points:
+        raise ValueError(f"{file}: point_annotations: expected ids >= 0 of {num_points} points, got {len(of_point)}")
+    if (lowest := int(of_point.min(initial=0))) < 0:
+        raise ValueError(f"{file}: point_annotations: expected ids >= 0, got {lowest}")
+    for one in record.records("annotations"):
+        if "attributes" in one and "name" in one.record("attributes"):
+            name = one.record("attributes").text("name").strip()
+            names[int(one.number("id"))] = printable(name)
+    return PointLabels(of_point, names)
+
+
+def edits_of_points(parts: Parts, before: Edits, labels: PointLabels) -> tuple[tuple[Edit, ...], int]:
+    """The corrections that edited labels mean.
+
+    A piece belongs to the object that most of its points have; if that is none, to the object that most points of its
+    segment have. All pieces of an object become one segment, unless they are one already. So labels that nobody edited
+    change nothing, and a segment whose points have no object any more stays.
+
+    Args:
+        parts: of the result.
+        before: the corrections with which the labels were exported.
+        labels: after the edits.
+
+    Returns:
+        the corrections; and how many points have another object than their piece.
+    """
+    table = parts.table(before)
+    labelled = labels.of_point > 0
+    of_piece = _most(parts.of_point, labels.of_point, parts.count)
+    of_segment = _most(table[parts.of_point[labelled]], labels.of_point[labelled], parts.count)
+    of_piece = np.where(of_piece > 0, of_piece, of_segment[table])
+    found, sizes = np.unique(of_piece[parts.of_point], return_counts=True)
+    pieces_of = {one: np.flatnonzero(of_piece == one) for one in found[np.argsort(-sizes, kind="stable")] if one > 0}
+    gathered: list[Edit] = []
+    kept: set[int] = set()
+    for pieces in pieces_of.values():
+        segments = set(table[pieces].tolist())
+        if len(segments) == 1 and not segments & kept:
+            kept |= segments  # the largest object of a segment is what the others leave
+        else:
+            gathered.append(Edit("gather", tuple(pieces.tolist())))
+    after = replace(before, steps=(*before.steps, *gathered))
+    table, names = parts.table(after), parts.names(after)
+    first = {one: int(pieces[0]) for one, pieces in pieces_of.items()}
+    named = [
+        Edit("name", (first[one],), name)
+        for one, name in sorted(labels.names.items())
+        if one in first and name != names.get(int(table[first[one]]), "")
+    ]
+    lost = int((labelled & (labels.of_point != of_piece[parts.of_point])).sum())
+    return (*gathered, *named), lost
+
+
+def _most(group: Array, ids: Array, count: int) -> Array:
+    """[count] the id that most members of a group have, the lowest of several; 0: the group has no members."""
+    numbers, of_member = np.unique(ids, return_inverse=True)
+    pairs, sizes = np.unique(group * len(numbers) + of_member, return_counts=True)
+    groups, of_pair = np.divmod(pairs, max(len(numbers), 1))
+    order = np.lexsort((-of_pair, sizes))
+    most = np.zeros(count, dtype=np.int64)
+    most[groups[order]] = numbers[of_pair[order]]  # the last of a group stays
+    return most
+
+
+#: Smallest IoU, in points, of a box with that of its segment.
+SAME = 0.1
+#: A segment without a box joins the one in whose box it has more than this share of its points.
+INSIDE = 0.5
+
+
+class BoxEdits(NamedTuple):
+    """What boxes change."""
+
+    steps: tuple[Edit, ...]  #: joins, then names
+    joined: int  #: segments that have joined others
+    named: int  #: segments whose name has changed
+    empty: tuple[int, ...]  #: boxes that are those of no segment
+
+
+def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.int64]) -> BoxEdits:
+    """The corrections that edited boxes mean.
+
+    Each box belongs to one segment: the pairs are taken by the IoU of the points in the box with those in the segment's
+    own box, largest first (ties: the first box, the lowest id). So boxes that nobody edited change nothing. A segment
+    whose box was deleted joins the segment of the smallest box that holds more than half of its points; otherwise it
+    stays. The name of a box becomes that of the segment; UNNAMED removes it.
+
+    Args:
+        result: its labels are those from which the boxes were exported, with all corrections before.
+        boxes: after the edits, in any order.
+        piece: [N] the piece of each point, which does not change with corrections.
+    """
+    points, labels = result.scene.points.double().numpy(), result.points.numpy()
+    inside = np.array([box.holds(points) for box in boxes], dtype=bool).reshape(len(boxes), len(points))
+    own = {segment: box.holds(points) for segment, box in boxes_of(result).items()}
+    segment_of = _matches(inside, own)
+    first = {segment: int(piece[labels == segment].min()) for segment in own}
+    steps, joined = [], 0
+    by_size = sorted(segment_of, key=lambda number: (np.prod(boxes[number].size), number))
+    for segment in sorted(own.keys() - set(segment_of.values())):
+        of_segment = labels == segment
+        holder = next((n for n in by_size if inside[n, of_segment].mean() > INSIDE), None)
+        if holder is not None:
+            steps.append(Edit("join", (first[segment_of[holder]], first[segment])))
+            joined += 1
+    named = 0
+    for number, segment in sorted(segment_of.items()):
+        if not boxes[number].name:
+            continue
+        name = "" if boxes[number].name == UNNAMED else boxes[number].name
+        if _words(name) != _words(result.segment_names.get(segment, "")):
+            steps.append(Edit("name", (first[segment],), name))
+            named += 1
+    return BoxEdits(tuple(steps), joined, named, tuple(n for n in range(len(boxes)) if n not in segment_of))
+
+
+def _words(name: str) -> str:
+    """A name as OpenPCDet's files have it, without spaces."""
+    return "_".join(name.split())
+
+
+def _matches(inside: npt.NDArray[np.bool_], own: Mapping[int, npt.NDArray[np.bool_]]) -> dict[int, int]:
+    """The segment of each box that has one."""
+    pairs = []
+    for segment, of_segment in own.items():
+        shared, either = (inside & of_segment).sum(1), (inside | of_segment).sum(1)
+        iou = shared / np.maximum(either, 1)
+        pairs += [(-float(iou[number]), int(number), segment) for number in np.flatnonzero(iou >= SAME)]
+    found: dict[int, int] = {}
+    for _, number, segment in sorted(pairs):
+        if number not in found and segment not in found.values():
+            found[number] = segment
+    return found
+
 
 Steps = tuple[Edit, ...]
 

@@ -1,9 +1,13 @@
-"""Texts of errors for users."""
+"""What a user reads: messages, missing extras, and seconds."""
 
 from __future__ import annotations
 
 import errno
 import re
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from threading import Lock
 
 #: Parts of the messages of torch, and of the system's loader of libraries.
 _OUT_OF_MEMORY = ("not enough memory", "can't allocate memory", "bad_alloc", "failed to map segment")
@@ -40,3 +44,62 @@ def in_one_line(error: BaseException) -> str:
     if isinstance(error, RecursionError):
         return f"nested too deeply: {error}"
     return on_terminal(" ".join(str(error).split()))
+
+
+@contextmanager
+def needed_for(purpose: str, package: str, requirement: str) -> Iterator[None]:
+    """Wraps the import of a package that may be missing.
+
+    Args:
+        purpose: what needs the package; the message begins with it.
+        package: name of the package, such as "Open3D".
+        requirement: the argument of `pip install`, such as "torchjoint[open3d]".
+
+    Raises:
+        ModuleNotFoundError: the package is not installed or does not load; the message gives the command.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f"{purpose} needs {package}: pip install '{requirement}'") from error
+    except (ImportError, OSError) as error:
+        raise ModuleNotFoundError(
+            f"{purpose} needs {package}, which is installed, but does not load: {error}"
+        ) from error
+
+
+class Stopwatch:
+    """Sums wall-clock seconds by name; the times of parallel threads are added.
+
+    >>> watch = Stopwatch()
+    >>> with watch("step"):
+    ...     pass
+    >>> list(watch.seconds)
+    ['step']
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._lock = Lock()
+
+    def __getstate__(self) -> dict[str, dict[str, float]]:
+        return {"seconds": dict(self.seconds)}
+
+    def __setstate__(self, state: dict[str, dict[str, float]]) -> None:
+        self.seconds, self._lock = state["seconds"], Lock()
+
+    def add(self, seconds: Mapping[str, float]) -> None:
+        """Adds the seconds by name of another stopwatch."""
+        with self._lock:
+            for name, value in seconds.items():
+                self.seconds[name] = self.seconds.get(name, 0.0) + value
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Adds the duration of the block, in seconds, to the sum of `name`."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

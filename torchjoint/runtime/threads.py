@@ -17,13 +17,13 @@ import ctypes
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar, copy_context
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 import torch
 
@@ -185,3 +185,52 @@ class _GlobalLimit:
 
 
 _GLOBAL_LIMIT = _GlobalLimit()
+
+
+def ahead(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """Yields ``function(item)`` for each item, in order; one thread computes the next while the caller works on one.
+
+    At most two results exist at a time: the caller's, and the next. An error of `function` is raised where its result
+    would have been yielded.
+
+    Example:
+        >>> list(ahead(lambda number: number**2, range(4)))
+        [0, 1, 4, 9]
+    """
+
+    def on_one_thread(item: T) -> R:
+        with one_thread_per_operation():
+            return function(item)
+
+    with ThreadPoolExecutor(1) as pool:
+        pending: list[Future[R]] = []
+        for item in items:
+            ready = [future.result() for future in pending]
+            pending = [pool.submit(copy_context().run, on_one_thread, item)]
+            yield from ready
+        yield from (future.result() for future in pending)
+
+
+class LazySequence(Sequence[T]):
+    """A sequence whose item `i` is `read(i)`, called at each access. `read` gets 0 <= i < count and must be pure.
+
+    `names` are the names of the items, if they are known without reading the items; else empty.
+    """
+
+    def __init__(self, count: int, read: Callable[[int], T], names: Sequence[str] = ()) -> None:
+        self._indices = range(count)
+        self._read = read
+        self.names = names
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    @overload
+    def __getitem__(self, index: int) -> T: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[T]: ...
+    def __getitem__(self, index: int | slice) -> T | list[T]:
+        with on_cpu():
+            if isinstance(index, slice):
+                return [self._read(i) for i in self._indices[index]]
+            return self._read(self._indices[index])

@@ -20,8 +20,7 @@ from torchjoint.scene.cloud import Cloud
 from torchjoint.scene.frame import Frame
 from torchjoint.scene.hierarchy import Hierarchy
 from torchjoint.scene.masks import Masks
-from torchjoint.scene.scene import Scene
+from torchjoint.scene.scene import Scene, Truth
 from torchjoint.scene.segmentation import LabelImages, Segmentation
-from torchjoint.scene.truth import Truth
 
 __all__ = ["Cloud", "Frame", "Hierarchy", "LabelImages", "Masks", "Scene", "Segmentation", "Truth"]

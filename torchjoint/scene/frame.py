@@ -1,4 +1,4 @@
-"""One posed image, the input of steps 1, 4 and 5."""
+"""A posed image: its pixels, camera and pose; and the warning if poses look wrong."""
 
 from __future__ import annotations
 
@@ -7,15 +7,29 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchjoint.scene.checks import (
-    as_float,
-    as_image,
-    as_intrinsics,
-    as_labels,
-    as_pose,
-    check_shape,
-)
+from torchjoint.scene.checks import as_float, as_image, as_intrinsics, as_labels, as_pose, check_shape
 from torchjoint.scene.masks import Masks, as_masks
+
+
+def camera_center(world_to_camera: Tensor) -> Tensor:
+    """The camera's position in the world frame, -R^T t: [4, 4] rigid -> [3] metres, of the same dtype."""
+    return -(world_to_camera[:3, :3].T @ world_to_camera[:3, 3])
+
+
+#: In words, after "the poses look".
+CONVENTIONS = {
+    "inverted": "inverted: expected world_to_camera, but they fit better as camera-to-world",
+    "axes": "to be in OpenGL axes (y up, z backwards): expected OpenCV axes (y down, z forwards)",
+    "inverted axes": "to be camera-to-world in OpenGL axes: expected world_to_camera in OpenCV axes",
+}
+
+
+class PoseWarning(UserWarning):
+    """The poses or intrinsics look wrong."""
+
+
+class PoseDoubt(PoseWarning):
+    """The same, of something that right poses or intrinsics can have, too: a cropped image, or few edges."""
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,100 @@
-"""One point cloud and its frames: the input of the method."""
+"""A cloud with its frames, its truth, and chosen parts of it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.data import Dataset, Subset
 
 from torchjoint.scene.checks import as_labels
 from torchjoint.scene.cloud import Cloud
 from torchjoint.scene.frame import Frame
-from torchjoint.scene.subset import evenly_spaced_indices, subset
-from torchjoint.scene.truth import Truth
+
+T = TypeVar("T")
+
+
+def subset(items: Sequence[T], indices: Sequence[int]) -> Sequence[T]:
+    """The items at `indices`, in this order; lazy items stay lazy."""
+    return cast(Sequence[T], Subset(cast(Dataset[T], items), indices))
+
+
+def evenly_spaced_indices(count: int, most: int) -> list[int]:
+    """At most `most` of the numbers 0 ... count - 1, evenly spread from the first to the last.
+
+    >>> evenly_spaced_indices(10, 4)
+    [0, 3, 6, 9]
+    """
+    places = torch.linspace(0, max(count - 1, 0), min(most, count), dtype=torch.float32, device="cpu")
+    return [int(place) for place in places.round().tolist()]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The ground truth of a scene. It is only compared with results.
+
+    Args:
+        points: optional [N] integers, the instance of each point, -1 = unknown (void).
+        images: label images [H, W], -1 = void, one per frame (may be lazy); empty if there are none. Their number is
+            checked where they are used.
+        kinds: instance -> kind, such as "flat", for instances that are also scored per kind.
+    """
+
+    points: Tensor | None = None
+    images: Sequence[Tensor] = ()
+    kinds: Mapping[int, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        points = "none" if self.points is None else f"{len(self.points)}"
+        return f"Truth({points} points, {len(self.images)} images)"
+
+    @property
+    def has_points(self) -> bool:
+        """Whether the instance of any point is known."""
+        return self.points is not None and bool((self.points >= 0).any())
+
+    def select_points(self, keep: Tensor) -> Truth:
+        """The truth of some of the points, in the order of `keep` ([N] bool, or [M] int64 indices)."""
+        return self if self.points is None else replace(self, points=self.points[keep])
+
+    def select_frames(self, indices: Sequence[int]) -> Truth:
+        """The truth of some of the frames, in the order of `indices`."""
+        return replace(self, images=subset(self.images, indices)) if len(self.images) else self
+
+
+def voxel_subsample(points: Tensor, size: float) -> Tensor:
+    """Keeps one point per cubic voxel: the point nearest to the voxel's centre (ties: the first point).
+
+    Args:
+        points: [N, 3] metres.
+        size: side of a voxel, metres; about the spacing of the points that are kept.
+
+    Returns:
+        [M] int64 indices of the points that are kept, ascending.
+
+    Raises:
+        ValueError: `size` is not positive, or so small that voxels cannot be numbered.
+
+    >>> voxel_subsample(torch.tensor([[0.1, 0.1, 0.1], [0.5, 0.5, 0.4], [1.2, 0.0, 0.0]]), 1.0)
+    tensor([1, 2])
+    """
+    if not size > 0:
+        raise ValueError(f"size: expected more than 0 metres, got {size}")
+    scaled = (points.double() - points.double().amin(0)) / size
+    if float(scaled.max()) >= 1 << 20:
+        raise ValueError(f"size: {size} m is too small for a cloud {float(scaled.max()) * size:.3g} m wide")
+    cell = scaled.long()
+    off_center = (scaled - cell - 0.5).square().sum(1)
+    voxel = torch.unique((cell[:, 0] << 40) + (cell[:, 1] << 20) + cell[:, 2], return_inverse=True)[1]
+    count = int(voxel.max()) + 1 if len(voxel) else 0
+    nearest = torch.full((count,), torch.inf, dtype=torch.float64).scatter_reduce(0, voxel, off_center, "amin")
+    place = torch.arange(len(points))
+    best = torch.where(off_center == nearest[voxel], place, len(points))
+    return torch.full((count,), len(points)).scatter_reduce(0, voxel, best, "amin").sort().values
 
 
 @dataclass(frozen=True)

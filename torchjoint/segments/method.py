@@ -14,7 +14,7 @@ from torchjoint.scene import Cloud, Hierarchy
 from torchjoint.segments import paper
 from torchjoint.segments.learned import method as learned
 from torchjoint.segments.scan import method as scan
-from torchjoint.segments.scan.one_view import ScanSigns, look_for_scan
+from torchjoint.segments.scan.recognition import ScanSigns, look_for_scan
 from torchjoint.views.evidence import Evidence
 
 

@@ -9,10 +9,8 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometric_weights
-from torchjoint.cloud.graph import PointGraph, build_point_graph
-from torchjoint.cloud.local import LocalFrame
-from torchjoint.cloud.orientation import orient_normals
-from torchjoint.cloud.prepared import local_cloud
+from torchjoint.cloud.graph import PointGraph, build_point_graph, orient_normals
+from torchjoint.cloud.local import LocalFrame, local_cloud
 from torchjoint.config import Config
 from torchjoint.scene import Cloud
 from torchjoint.views.evidence import Evidence

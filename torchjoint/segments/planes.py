@@ -1,15 +1,18 @@
-"""Step 6: small smooth regions of the cloud, and a plane for each point, fitted within its region."""
+"""Step 6: planes of small regions, costs of boundaries, and merging by the mean cost of a boundary."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.cloud.edge_weights import EdgeWeights, geometric_weights, segmentator_turn
+from torchjoint.cloud._vectors import rows_of
+from torchjoint.cloud.edge_weights import EdgeWeights, geometric_weights, map_edges, segmentator_turn
 from torchjoint.cloud.graph import PointGraph
+from torchjoint.cloud.normals import angle_between, is_convex
 from torchjoint.ops.internal import region_planes
 from torchjoint.runtime.threads import all_threads
 
@@ -67,3 +70,77 @@ def one_sided_planes(graph: PointGraph, region: Tensor, normals: Tensor) -> Plan
     """
     with all_threads():
         return Planes(*region_planes(graph.points, graph.neighbors, region, normals, MIN_POINTS))
+
+
+def crease_costs(edge_index: Tensor, planes: Planes, oriented: Tensor, convex_factor: float) -> Tensor:
+    """How sharply the surface bends along each edge: 0 = flat, 1 = a concave right angle or more.
+
+    With theta the angle between the two planes, the cost is c = min(1, 2 theta / pi) where the surface is concave or
+    its normals are not oriented. Where the surface is convex, c is multiplied by `convex_factor`, because objects are
+    mostly convex and the boundaries between them concave.
+
+    Args:
+        edge_index: [2, E] int64.
+        planes: the one-sided plane of each of N points.
+        oriented: [N] bool, whether a point's normal is oriented.
+        convex_factor: in [0, 1].
+
+    Returns:
+        [E] float32 in [0, 1].
+    """
+
+    def cost(edges: Tensor) -> Tensor:
+        i, j = edges
+        both_oriented = oriented[i] & oriented[j]
+        first, second = rows_of(planes.normal, i), rows_of(planes.normal, j)
+        bent = (angle_between(first, second, both_oriented) * (2 / math.pi)).clamp(max=1)
+        convex = both_oriented & is_convex(rows_of(planes.mean, j) - rows_of(planes.mean, i), second - first)
+        return torch.where(convex, convex_factor * bent, bent)
+
+    return map_edges(cost, edge_index)
+
+
+def combined_costs(crease: Tensor, disagreement: Tensor, weight: float, agreement: float) -> Tensor:
+    """Costs of edges from geometry and images: c (1 - a (1 - r)) + w (1 - c) r.
+
+    Images count where geometry gives no evidence: on a flat edge the disagreement r counts fully, on a sharp crease
+    not at all. Where images see one segment on both sides, the cost of a crease is reduced by the share `a`. If no
+    image sees both ends of an edge, r has the neutral value of eq. 6, 1 - r_o. Such an edge costs more than an edge
+    within one segment of the images.
+
+    Args:
+        crease: [E] c in [0, 1].
+        disagreement: [E] r in [0, 1].
+        weight: w, >= 0.
+        agreement: a in [0, 1].
+
+    Returns:
+        [E] float32.
+    """
+    return crease * (1 - agreement * (1 - disagreement)) + weight * (1 - crease) * disagreement
+
+
+def merge(region: Tensor, edge_index: Tensor, cost: Tensor, threshold: float, min_size: int) -> Tensor:
+    """Repeatedly merges the two regions with the lowest mean boundary cost, up to the threshold.
+
+    Then each region of fewer than `min_size` points is joined to the neighbour with the lowest mean boundary cost.
+
+    Args:
+        region: [N] int64, region of each point, 0 ... R - 1.
+        edge_index: [2, E] int64, edges between points; edges inside a region are ignored.
+        cost: [E] float32 in [0, 1024].
+        threshold: largest mean boundary cost of two regions that merge.
+        min_size: points.
+
+    Returns:
+        [N] int64 segments 0, 1, ..., numbered by their first regions.
+    """
+    return merge_sized(region, edge_index, cost, torch.bincount(region), threshold, min_size)
+
+
+def merge_sized(
+    region: Tensor, edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int
+) -> Tensor:
+    """As :func:`merge`, but `size` [R] int64 gives the size of each region instead of its number of points."""
+    with all_threads():
+        return ops.merge_regions(region[edge_index], cost, size, threshold, min_size)[region]

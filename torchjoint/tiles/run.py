@@ -23,17 +23,13 @@ from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import Engine, open_engine
-from torchjoint.results.labelled_las import check_dimension, write_labelled
+from torchjoint.results.labelled_file import check_dimension, write_labelled
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
-from torchjoint.runtime.locks import lock
-from torchjoint.runtime.outputs import Seen, check_no_input, put, seen, settle
-from torchjoint.runtime.work_folder import SOURCE, read_sealed, work_folder
-from torchjoint.tiles.plan import NARROWEST, plan_tiles
-from torchjoint.tiles.spill import point_type, spill_points, tile_file
+from torchjoint.runtime.outputs import SOURCE, Seen, check_no_input, lock, put, read_sealed, seen, settle, work_folder
+from torchjoint.tiles.plan import NARROWEST, plan_tiles, survey
 from torchjoint.tiles.stitching import stitch
-from torchjoint.tiles.survey import survey
-from torchjoint.tiles.tile import TileTask, read_own, read_shared, segment_tile
+from torchjoint.tiles.tile import TileTask, point_type, read_own, read_shared, segment_tile, spill_points, tile_file
 
 #: The name of the new dimension.
 DIMENSION = "superpoint"

@@ -2,19 +2,115 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import torch
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from torchjoint.config import SuperpointsConfig
+from torchjoint.datasets.files.las import LasPoints
 from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
-from torchjoint.tiles.spill import OWN, SHARED, point_type
+from torchjoint.tiles.plan import Plan, Survey, read_points
+
+#: Bits of `kind`: the point belongs to this tile; the point is also in other tiles.
+OWN, SHARED = 1, 2
+
+
+def point_type(colored: bool) -> np.dtype[Any]:
+    """The type of a point in a tile's file: number in the cloud, metres from the tile's corner, bits, colour."""
+    fields: list[Any] = [("number", "<i8"), ("xyz", "<f4", 3), ("kind", "u1")]
+    return np.dtype([*fields, ("rgb", "<u2", 3)] if colored else fields)
+
+
+def tile_file(folder: Path, number: int) -> Path:
+    """The file of a tile's points."""
+    return folder / f"{number:06d}.points"
+
+
+def spill_points(
+    files: Sequence[Path], survey: Survey, plan: Plan, folder: Path, progress: Callable[[int], object]
+) -> None:
+    """Writes the points of all tiles; only one part of the cloud is in memory at a time.
+
+    Args:
+        files: of the cloud.
+        survey, plan: of the cloud.
+        folder: an empty folder.
+        progress: is called with the number of points of each part.
+    """
+    corners = np.array([tile.first for tile in plan.tiles]) * survey.side + survey.origin[:2]
+    alone = _cells_of_one_tile(survey, plan)
+    for first, points in read_points(files, survey.whites):
+        row, tile, kind = _copies(points.xyz[:, :2], survey, plan, alone)
+        starts = np.flatnonzero(np.diff(tile, prepend=-1))
+        for start, end in zip(starts, [*starts[1:], len(tile)], strict=True):
+            number = int(tile[start])
+            corner = np.array([*corners[number], survey.origin[2]])
+            records = _records(points, row[start:end], kind[start:end], first, corner, survey.whites is not None)
+            with tile_file(folder, number).open("ab") as stream:
+                stream.write(records.tobytes())
+        progress(len(points.xyz))
+
+
+def _cells_of_one_tile(survey: Survey, plan: Plan) -> npt.NDArray[np.bool_]:
+    """[columns, rows] whether the points of a cell are in one tile only: all cells within a buffer are of its tile."""
+    width, none = 2 * math.ceil(plan.buffer / survey.side) + 1, np.iinfo(np.int32).max
+    highest = maximum_filter(plan.of_cell, width, mode="nearest")
+    lowest = minimum_filter(np.where(plan.of_cell < 0, none, plan.of_cell), width, mode="nearest")
+    alone: npt.NDArray[np.bool_] = highest == lowest
+    return alone
+
+
+def _copies(
+    xy: npt.NDArray[np.float64], survey: Survey, plan: Plan, alone: npt.NDArray[np.bool_]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.uint8]]:
+    """Lists the copies of points in tiles: the point [c], the tile [c] and the bits [c], sorted by tile, then point.
+
+    A tile is wider than two buffers. So if it intersects the square of side 2 x buffer around a point, it contains a
+    corner of the square. Most points are far from the edges of tiles: their cells are `alone`.
+    """
+    cell = survey.cells(xy)
+    own = plan.of_cell[cell[:, 0], cell[:, 1]]
+    near = np.flatnonzero(~alone[cell[:, 0], cell[:, 1]])
+    around = np.empty((len(near), 4), np.int32)
+    for number, corner in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
+        cell = survey.cells(xy[near] + plan.buffer * np.array(corner))
+        around[:, number] = plan.of_cell[cell[:, 0], cell[:, 1]]
+    around.sort(axis=1)  # each tile once
+    is_other = (around >= 0) & (around != own[near, None]) & (np.diff(around, axis=1, prepend=-2) != 0)
+    of_near, column = np.nonzero(is_other)
+    kind = np.full(len(xy), OWN, np.uint8)
+    kind[near[of_near]] |= SHARED
+    row = np.concatenate([np.arange(len(xy)), near[of_near]])
+    tile = np.concatenate([own, around[of_near, column]])
+    kind = np.concatenate([kind, np.full(len(of_near), SHARED, np.uint8)])
+    order = np.lexsort((row, tile)) if len(of_near) else np.argsort(tile, kind="stable")
+    return row[order], tile[order], kind[order]
+
+
+def _records(
+    points: LasPoints,
+    row: npt.NDArray[np.int64],
+    kind: npt.NDArray[np.uint8],
+    first: int,
+    corner: npt.NDArray[np.float64],
+    colored: bool,
+) -> npt.NDArray[Any]:
+    records = np.empty(len(row), point_type(colored))
+    records["number"] = first + row
+    records["xyz"] = points.xyz[row] - corner  # in float64, then rounded
+    records["kind"] = kind
+    if colored and points.rgb is not None:
+        records["rgb"] = points.rgb[row]
+    return records
+
 
 #: Width of the outer part of the buffer, in buffers. A superpoint that reaches it may continue outside of the buffer.
 RIM = 0.1

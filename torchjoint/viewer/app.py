@@ -16,16 +16,12 @@ from torchjoint.results.shading import Shading
 from torchjoint.results.shared_edits import save_edits
 from torchjoint.results.upright import up_direction
 from torchjoint.scene.checks import as_direction
-from torchjoint.viewer.cameras import Cameras, Viewpoint, add_camera, viewpoint
-from torchjoint.viewer.cloud import CloudView
+from torchjoint.viewer.cloud import CloudView, pick_point
 from torchjoint.viewer.html import PREFIX, found_html, image_html, note_html, panel_html, table_html
-from torchjoint.viewer.model import Model
-from torchjoint.viewer.painting import painted, point_colors
+from torchjoint.viewer.model import Model, export_selected
+from torchjoint.viewer.painting import RelationLines, painted, point_colors
 from torchjoint.viewer.panel import RESET, Panel
-from torchjoint.viewer.pick import pick_point
-from torchjoint.viewer.relation_lines import RelationLines
-from torchjoint.viewer.selection import export_selected
-from torchjoint.viewer.server import start_server
+from torchjoint.viewer.server import Cameras, Viewpoint, add_camera, start_server, viewpoint
 from torchjoint.viewer.shown import Shown
 
 

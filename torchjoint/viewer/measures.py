@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from torchjoint.results.edits import Table
-from torchjoint.results.oriented_box import oriented_box
+from torchjoint.results.objects import oriented_box
 from torchjoint.results.parts import Parts
 from torchjoint.runtime.threads import parallel_map
 

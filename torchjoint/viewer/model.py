@@ -2,20 +2,59 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Literal
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import torch
+from PIL import Image
+from torch import Tensor
 
-from torchjoint.results.edits import Edit, Edits
+from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.results.edits import Edit, Edits, Table, place_to_split
+from torchjoint.results.exports.masks import export_coco
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
-from torchjoint.results.splits import place_to_split
-from torchjoint.viewer.clicks import Click, pieces_of_clicks
+from torchjoint.runtime.files import file_name, frame_files
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.viewer.measures import Measures, Row
+
+
+class Click(NamedTuple):
+    """A click on a point of the cloud."""
+
+    point: int
+    belongs: bool  #: to the thing; False: the thing ends before it
+
+
+def pieces_of_clicks(parts: Parts, edits: Edits, clicks: Sequence[Click]) -> Table:
+    """The pieces of the thing of one or more clicks, ascending; a single click gives the corrected segment.
+
+    Raises:
+        ValueError: no click is on the thing, or two that disagree are in one piece.
+    """
+    if len(clicks) == 1 and clicks[0].belongs:
+        table = parts.table(edits)
+        return np.flatnonzero(table == table[parts.of_point[clicks[0].point]])
+    on, off = (
+        torch.tensor([one.point for one in clicks if one.belongs == of], dtype=torch.int64) for of in (True, False)
+    )
+    return _at_level(parts.result, edits.granularity).pick(on, negative=off).pieces.numpy()
+
+
+def _at_level(result: Result, level: float | None) -> Result:
+    """The result whose default level is the shown one."""
+    if result.hierarchy is None or level is None:
+        return result
+    return replace(result, hierarchy=replace(result.hierarchy, default=result.hierarchy.height_of(level)))
+
 
 Bytes = npt.NDArray[np.uint8]
 Mode = Literal["segments", "colours", "confidence", "initial", "truth"]
@@ -246,3 +285,60 @@ class Model:
             most: largest number of rows.
         """
         return self.measures.rows(self.names, search, order, most)
+
+
+def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
+    """Returns a file of the selected segments: its name and its content.
+
+    * PLY: one cloud of the selected points in their own colours; its property `label` is the displayed id;
+    * PNG: a ZIP file with a mask for each frame that sees a selected segment, 255 = selected;
+    * COCO: COCO's JSON of the selected segments in all frames, with the displayed ids and the names.
+
+    Raises:
+        ValueError: nothing is selected, or an unknown kind, or masks of segments that no frame sees.
+        ModuleNotFoundError: COCO needs pycocotools.
+    """
+    if not model.selected:
+        raise ValueError("export: select a segment first")
+    called = {model.key(segment): model.names.get(segment, "") for segment in model.selected}
+    name = "-".join(f"{key}-{name}" if name else str(key) for key, name in [*called.items()][:5])
+    name = file_name(name + (f"-and-{len(called) - 5}-more" if len(called) > 5 else ""))
+    result = model.result
+    keys = np.where(np.isin(model.table, model.selected), model.parts.keys[model.table], -1)  # of pieces; -1: others
+    labels = torch.from_numpy(keys[model.parts.of_point])
+    if kind == "PLY":
+        chosen = result.scene.select_points(labels >= 0)
+        return _written(
+            f"{name}.ply", lambda file: write_cloud(file, chosen.points, chosen.colors, labels[labels >= 0])
+        )
+    if kind not in ("PNG", "COCO"):
+        raise ValueError(f"export: expected PLY, PNG or COCO, got {kind!r}")
+    images = LazySequence(len(result.images), lambda index: _labels(model, keys, index))
+    if kind == "PNG":
+        return f"{name}-masks.zip", _masks(images, result.names)
+    selection = replace(result, points=labels, images=images, hierarchy=None, piece_images=(), segment_names=called)
+    return _written(f"{name}.json", lambda file: export_coco(file, selection))
+
+
+def _written(name: str, write: Callable[[Path], object]) -> tuple[str, bytes]:
+    with TemporaryDirectory() as folder:
+        write(Path(folder) / name)
+        return name, (Path(folder) / name).read_bytes()
+
+
+def _labels(model: Model, keys: np.ndarray[tuple[int], np.dtype[np.int64]], index: int) -> Tensor:
+    pieces = model.parts.image(index)
+    return torch.from_numpy(np.where(pieces < 0, -1, keys[pieces]))
+
+
+def _masks(images: Sequence[Tensor], names: Sequence[str]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as file:
+        for name, labels in zip(frame_files(names), images, strict=True):
+            if bool((labels >= 0).any()):
+                mask = io.BytesIO()
+                Image.fromarray(((labels >= 0) * 255).numpy().astype(np.uint8)).save(mask, "png")
+                file.writestr(f"{name}.png", mask.getvalue())
+    if not file.namelist():
+        raise ValueError("export: expected a selected segment that a frame sees, got none")
+    return stream.getvalue()

@@ -2,16 +2,62 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torch import Tensor
 
+from torchjoint.config import Config
+from torchjoint.joint import JointSegmenter
 from torchjoint.results.edits import Edits, read_edits
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
-from torchjoint.viewer.parameters import LiveRun
+from torchjoint.scene import Scene
+
+#: Names (stage.parameter) of the few parameters of each method that a user changes while looking at the result.
+PARAMETERS = {
+    "learned": ("refinement.color_weight",),
+    "scan": ("scan.gap", "scan.object_height", "scan.min_size", "refinement.color_weight"),
+    "paper": ("paper.scale", "paper.min_size", "paper.weight"),
+}
+
+
+class LiveRun:
+    """A run in memory: computes its result again with other parameters.
+
+    Args:
+        segmenter: has finished :meth:`~torchjoint.JointSegmenter.forward`.
+        scene: the segmented scene.
+    """
+
+    def __init__(self, segmenter: JointSegmenter, scene: Scene) -> None:
+        self._segmenter, self._scene = segmenter, scene
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Names (stage.parameter) and values of the parameters that can be changed."""
+        names = PARAMETERS.get(self._segmenter.method.name, PARAMETERS["learned"])
+        config = self._segmenter.config
+        return {name: float(getattr(getattr(config, name.split(".")[0]), name.split(".")[1])) for name in names}
+
+    def compute(self, values: dict[str, float]) -> Result:
+        """Computes the result of other values.
+
+        Raises:
+            ValueError: a value is out of range; the message names the parameter.
+        """
+        config: Config = self._segmenter.config
+        for name, value in values.items():
+            stage, _, parameter = name.partition(".")
+            config = config.replace({stage: {parameter: _of_its_kind(stage, parameter, value)}})
+        return Result.of(self._segmenter.compute(config=config), self._scene, config)
+
+
+def _of_its_kind(stage: str, parameter: str, value: float) -> float | int:
+    default = next(spec.default for spec in dataclasses.fields(Config.stages()[stage]) if spec.name == parameter)
+    return round(value) if isinstance(default, int) else value
 
 
 @dataclass(frozen=True)

@@ -8,19 +8,189 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint.cloud.local import LocalFrame
 from torchjoint.config import VisibilityConfig
+from torchjoint.images.boundary import GradientBoundary
+from torchjoint.images.contours import smooth
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene
-from torchjoint.scene.pose_warning import CONVENTIONS, PoseDoubt, PoseWarning
-from torchjoint.scene.subset import evenly_spaced_indices
-from torchjoint.views.color_agreement import color_agreement
-from torchjoint.views.edge_alignment import EdgeAlignment, combined, edge_correlations
-from torchjoint.views.projection import project
+from torchjoint.scene.frame import CONVENTIONS, PoseDoubt, PoseWarning
+from torchjoint.scene.scene import evenly_spaced_indices
+from torchjoint.views.projection import Projection, project
 from torchjoint.views.visibility import visible_points
+
+#: Shifts in twelve directions, as shares of the image's longer side.
+COLOR_SHIFTS = [
+    (radius * math.sin(math.pi * step / 6), radius * math.cos(math.pi * step / 6))
+    for step, radius in enumerate((0.05, 0.07, 0.09, 0.11) * 3)
+]
+
+#: Smallest number of points to compare.
+LEAST_POINTS = 30
+#: If there are more points, every k-th is compared. The mean of 10,000 colours errs by a hundredth of their spread.
+MOST_POINTS = 10_000
+
+
+class ColorAgreement(NamedTuple):
+    """Colours of points against those of an image; all NaN if too few points are in view."""
+
+    residual: float = math.nan  #: mean |colour of a point - colour of its pixel|
+    by_chance: float = math.nan  #: the same in shifted images
+    correlation: float = math.nan  #: correlation of the two colours, -1 to 1
+
+
+def color_agreement(colors: Tensor, image: Tensor, row: Tensor, column: Tensor) -> ColorAgreement:
+    """Compares the colours of M visible points with the colours of their pixels.
+
+    Args:
+        colors: [M, 3] RGB in [0, 1].
+        image: [3, H, W] RGB in [0, 1].
+        row: [M] int64, row of each point's pixel.
+        column: [M] int64, column of this pixel.
+    """
+    if len(colors) < LEAST_POINTS:
+        return ColorAgreement()
+    step = math.ceil(len(colors) / MOST_POINTS)
+    colors, row, column = colors[::step], row[::step], column[::step]
+    height, width = image.shape[1:]
+    seen = image[:, row, column].T
+    shifted = []
+    for down, right in COLOR_SHIFTS:
+        there = row + round(down * max(height, width)), column + round(right * max(height, width))
+        inside = (there[0] >= 0) & (there[0] < height) & (there[1] >= 0) & (there[1] < width)
+        if int(inside.sum()) >= LEAST_POINTS:
+            pixels = image[:, there[0][inside], there[1][inside]].T
+            shifted.append(float((colors[inside] - pixels).abs().mean()))
+    by_chance = sum(shifted) / len(shifted) if shifted else math.nan
+    return ColorAgreement(
+        float((colors - seen).abs().mean()), by_chance, float(correlation(colors.double(), seen.double()))
+    )
+
+
+def correlation(first: Tensor, second: Tensor) -> Tensor:
+    """The correlation of two tensors of one shape, each without the mean of its columns; 0 if one is constant."""
+    first, second = first - first.mean(0), second - second.mean(0)
+    size = (first.square().sum() * second.square().sum()).sqrt()
+    return (first * second).sum() / size if float(size) > torch.finfo(torch.float32).tiny else size.new_zeros(())
+
+
+#: Longer side of the resized image, pixels; the other lengths in this file are pixels of the resized image.
+SIDE = 640
+
+#: Standard deviations of the Gaussian that blurs the edges (about the error of a calibration), and of their local mean.
+BLUR, SURROUNDINGS = 2.5, 10.0
+
+#: Number of neighbours of a point, and their largest distance: the gap between two beams of a coarse LiDAR.
+NEIGHBORS, REACH = 6, 16.0
+
+#: Change of log depth from which a jump counts, and the further change until it counts fully.
+SMALLEST_JUMP, JUMP_RANGE = 0.05, 0.2
+
+#: Smallest sum of jumps in view for a verdict, and largest number of points whose neighbours are searched.
+MIN_JUMPS, MAX_QUERIES = 800.0, 20_000
+
+#: Smallest standard deviation of the edge strength (0 to 1) in an image that is not blank.
+MIN_CONTRAST = 0.01
+
+#: Smallest share of the points in view that is visible if the cloud is one scan.
+MIN_VISIBLE = 0.95
+
+#: Shifts (down, right) of the image for comparison: in all directions, and so far that shifted edges do not overlap.
+EDGE_SHIFTS = [
+    (round(radius * math.sin(angle)), round(radius * math.cos(angle)))
+    for ring, radius in enumerate((30, 45, 60, 75))
+    for angle in (math.pi / 6 * (step + ring / 4) for step in range(12))
+]
+
+
+class EdgeAlignment(NamedTuple):
+    """Agreement of depth edges and image edges, mean over the frames.
+
+    Attributes:
+        correlation: correlation of depth jumps and image edges at the given pose, -1 to 1.
+        significance: (correlation - mean correlation with shifted images) / standard deviation of the latter.
+    """
+
+    correlation: float
+    significance: float
+
+
+def combined(correlations: Sequence[Tensor]) -> EdgeAlignment | None:
+    """The alignment of several frames, from the :func:`edge_correlations` of each; None: no frame has a verdict."""
+    if not correlations:
+        return None
+    given, *shifted = torch.stack(list(correlations)).mean(dim=0)
+    others = torch.stack(shifted)
+    return EdgeAlignment(float(given), float((given - others.mean()) / others.std().clamp(min=1e-9)))
+
+
+def edge_correlations(cloud: Cloud, frame: Frame, spacing: Tensor, config: VisibilityConfig) -> Tensor | None:
+    """Correlations of depth edges and image edges, for a cloud from about one position, such as a LiDAR scan.
+
+    Args:
+        cloud: the points.
+        frame: a frame, with the pose to check.
+        spacing: [N] metres, spacing of the points.
+        config: parameters of the visibility.
+
+    Returns:
+        [1 + number of EDGE_SHIFTS] float64, the first without shift. None if no verdict is possible: the cloud is not a
+        scan, too few depth jumps are in view, or the image is blank.
+    """
+    projection = project(cloud.points, frame.intrinsics, frame.world_to_camera, frame.size)
+    if len(projection.point) <= NEIGHBORS or not _is_scan(cloud, frame, spacing, config, projection):
+        return None
+    edges, scale = _image_edges(frame.image)
+    if edges is None:
+        return None
+    row, column, jump = _depth_jumps(projection, scale)
+    rows = []
+    for down, right in [(0, 0), *EDGE_SHIFTS]:
+        there = (row + down, column + right)
+        inside = (there[0] >= 0) & (there[0] < edges.shape[0]) & (there[1] >= 0) & (there[1] < edges.shape[1])
+        if float(jump[inside].sum()) < MIN_JUMPS:
+            return None
+        rows.append(correlation(edges[there[0][inside], there[1][inside]], jump[inside]))
+    return torch.stack(rows)
+
+
+def _is_scan(cloud: Cloud, frame: Frame, spacing: Tensor, config: VisibilityConfig, projection: Projection) -> bool:
+    """Whether hardly any point hides another point. A cloud of many views also has the points behind the surface."""
+    thin = replace(config, method="zbuffer", footprint=0.1)
+    visible = visible_points(cloud.points, spacing, frame.intrinsics, frame.world_to_camera, frame.size, thin)
+    return len(visible.point) >= MIN_VISIBLE * len(projection.point)
+
+
+def _image_edges(image: Tensor) -> tuple[Tensor | None, float]:
+    """Edge strength [h, w] relative to its surroundings (None for a blank image), and the scale of the resizing."""
+    scale = SIDE / max(image.shape[1:])
+    size = [max(1, round(side * scale)) for side in image.shape[1:]]
+    small = torch.nn.functional.interpolate(image[None], size, mode="bilinear", antialias=True)
+    edges = smooth(GradientBoundary(smoothing=1.0, contrast=8.0)(small)[None], BLUR)
+    if float(edges.std()) < MIN_CONTRAST:
+        return None, scale
+    away = edges - smooth(edges, SURROUNDINGS)
+    return (away / (smooth(away**2, SURROUNDINGS) + 1e-4).sqrt())[0, 0].double(), scale
+
+
+def _depth_jumps(projection: Projection, scale: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Row and column halfway between points that are neighbours in the image, and the depth jump there, 0 to 1."""
+    place = (np.stack([projection.v.numpy(), projection.u.numpy()], axis=1).astype(np.float64) + 0.5) * scale - 0.5
+    first = np.arange(0, len(place), -(-len(place) // MAX_QUERIES))
+    # The nearest neighbour of a point is the point itself, or a duplicate.
+    distance, second = cKDTree(place).query(place[first], k=NEIGHBORS + 1, distance_upper_bound=REACH)
+    near = np.isfinite(distance[:, 1:])
+    first, second = np.repeat(first[:, None], NEIGHBORS, axis=1)[near], second[:, 1:][near]
+    depth = np.log(projection.z.double().numpy())
+    jump = np.clip((np.abs(depth[first] - depth[second]) - SMALLEST_JUMP) / JUMP_RANGE, 0, 1)
+    row, column = np.floor((place[first] + place[second]) / 2 + 0.5).astype(np.int64).T
+    return torch.from_numpy(row), torch.from_numpy(column), torch.from_numpy(jump)
+
 
 #: Number of frames that are checked, evenly spread over the sequence.
 NUM_FRAMES = 6

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from torchjoint.cloud.adjacency import CsrAdjacency
+from torchjoint.cloud.graph import CsrAdjacency
 from torchjoint.ops.internal import line_maxima, window_overlaps
 from torchjoint.views.visibility import Visible
 

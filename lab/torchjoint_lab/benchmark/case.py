@@ -14,7 +14,7 @@ from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import Config
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.camera import camera_center
+from torchjoint.scene.frame import camera_center
 from torchjoint.views.visibility import Visible, visible_points
 from torchjoint_lab.benchmark.paint import paint
 

@@ -12,9 +12,9 @@ import torch
 from torch import Generator, Tensor
 
 from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.scene.scene import voxel_subsample
 
 #: Points move by this share of their spacing, a standard deviation along each axis.
 SHARE_OF_SPACING = 0.3

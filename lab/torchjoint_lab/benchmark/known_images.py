@@ -9,9 +9,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.config import Config
-from torchjoint.images.exposure import brightened
-from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
-from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.images.segmenter import ImageSegmenter, ImageSegments, brightened
+from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
 

@@ -12,8 +12,7 @@ from torchjoint.config import Config, SuperpointsConfig, evidence_config
 from torchjoint.joint import JointSegmenter
 from torchjoint.labels.label import label_points
 from torchjoint.oversegmentation import superpoints
-from torchjoint.runtime.extras import needed_for
-from torchjoint.runtime.stopwatch import Stopwatch
+from torchjoint.runtime.messages import Stopwatch, needed_for
 from torchjoint.segments.method import PAPER
 from torchjoint.segments.method import Method as StepSix
 from torchjoint.views.evidence import Evidence

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.messages import needed_for
 from torchjoint_lab.benchmark.vote import fill
 
 #: Candidate planes per found plane, and the number of points that vote for the candidates.

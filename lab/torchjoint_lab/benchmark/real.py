@@ -25,7 +25,7 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.metrics import scannet_average_precision, segmentation_covering
 from torchjoint.runtime.files import atomic_write, write_text
 from torchjoint.scene import Scene
-from torchjoint.scene.pose_warning import PoseWarning
+from torchjoint.scene.frame import PoseWarning
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.methods import METHODS

@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.results.label_colors import label_colors
-from torchjoint.results.render import render_cloud
+from torchjoint.results.render import label_colors, render_cloud
 from torchjoint.runtime.files import atomic_write
 from torchjoint.scene import Scene
 from torchjoint_lab.benchmark.real import Results, labels_of_first, worst_scenes

@@ -19,9 +19,9 @@ from torch import Tensor
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.datasets.formats.folder import read_frames
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene, Truth
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.scene.scene import voxel_subsample
 from torchjoint.views.projection import in_any_view
 from torchjoint_lab.benchmark.robustness_scenes import THINNED
 from torchjoint_lab.datasets.semantickitti import read_sweep

@@ -24,7 +24,7 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.metrics import segmentation_covering
 from torchjoint.runtime.files import atomic_write, write_text
 from torchjoint.scene import Scene
-from torchjoint.scene.pose_warning import PoseWarning
+from torchjoint.scene.frame import PoseWarning
 from torchjoint_lab.benchmark.disturbances import CLEAN, DISTURBANCES, Disturbed, moved
 from torchjoint_lab.benchmark.robustness_scenes import NamedScene
 from torchjoint_lab.evaluation.scores import score

@@ -13,7 +13,7 @@ import torch
 
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.scene import Scene, Truth
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.scene.scene import voxel_subsample
 from torchjoint_lab.datasets.semantickitti import read_sweep
 from torchjoint_lab.synthetic import make_domain_scene
 

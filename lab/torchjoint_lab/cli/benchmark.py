@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from torchjoint.cli.arguments import check_output
-from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.outputs import Output
 from torchjoint_lab.benchmark.method import Method
 from torchjoint_lab.benchmark.methods import METHODS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torchjoint.cli.commands import Command, run
+from torchjoint.cli.main import Command, run
 
 COMMANDS = {
     "evaluate": Command("torchjoint_lab.cli.evaluate:evaluate", "scores results against ground truth"),

@@ -18,10 +18,9 @@ from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
 from torchjoint.results.folder import read_config
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.outputs import Output
-from torchjoint.runtime.stopwatch import Stopwatch
-from torchjoint.runtime.threads import one_thread_per_operation
+from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene import Scene, Truth
 from torchjoint_lab.cli.arguments import check_max_frames
 from torchjoint_lab.datasets.scenes import list_scenes, load_scene

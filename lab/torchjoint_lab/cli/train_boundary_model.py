@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import tyro
 
 from torchjoint.cli.arguments import output_file
-from torchjoint.runtime.work_folder import work_folder
+from torchjoint.runtime.outputs import work_folder
 from torchjoint.scene import Scene
 from torchjoint_lab.cli.arguments import check_max_frames
 
@@ -95,7 +95,7 @@ def train_boundary_model(
 
 
 def _own(paths: Sequence[Path], thin: float | None, max_frames: int | None) -> list[_Source]:
-    from torchjoint.scene.thinning import voxel_subsample
+    from torchjoint.scene.scene import voxel_subsample
     from torchjoint_lab.datasets.scenes import list_scenes, load_scene
 
     def load(path: Path) -> Scene:

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from torchjoint import ops
-from torchjoint.images.non_maximum_suppression import suppress_non_maxima
+from torchjoint.images.contours import suppress_non_maxima
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint_lab.datasets.bsds import BsdsImage
 from torchjoint_lab.evaluation.skeleton import thin

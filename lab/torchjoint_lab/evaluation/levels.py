@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torchjoint.runtime.csv_tables import csv_text
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.foreign_files import csv_text
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint_lab.evaluation.scores import COLUMNS, Scores, score

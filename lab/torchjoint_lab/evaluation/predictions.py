@@ -12,11 +12,10 @@ from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array, read_label_image
 from torchjoint.results.folder import read_points
-from torchjoint.results.hierarchy_files import HIERARCHY, read_hierarchy
+from torchjoint.results.manifest import HIERARCHY, read_hierarchy
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.foreign_files import has_file, has_folder, read_text
-from torchjoint.runtime.lazy import LazySequence
-from torchjoint.runtime.threads import parallel_map
+from torchjoint.runtime.threads import LazySequence, parallel_map
 from torchjoint.scene import Hierarchy, Scene, Segmentation
 from torchjoint.scene.checks import as_labels
 from torchjoint_lab.evaluation.instances import Instances, is_listing, painted, read_instances

@@ -8,8 +8,8 @@ from pathlib import Path
 from statistics import fmean, stdev
 from typing import NamedTuple
 
-from torchjoint.runtime.csv_tables import csv_text
 from torchjoint.runtime.files import atomic_write, write_text
+from torchjoint.runtime.foreign_files import csv_text
 from torchjoint_lab.evaluation.scores import COLUMNS, Scores, mean_scores
 
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observation
 
 #: An image counts for a segment only if it sees at least this many points of the segment.
 MIN_POINTS = 3

@@ -5,16 +5,19 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint.cloud.graph import PointGraph, build_point_graph
-from torchjoint.cloud.local import LocalFrame
-from torchjoint.cloud.orientation import orient_normals
-from torchjoint.cloud.prepared import local_cloud
+from torchjoint.cloud.graph import PointGraph, build_point_graph, orient_normals
+from torchjoint.cloud.local import LocalFrame, local_cloud
 from torchjoint.config import Config
 from torchjoint.scene import Cloud
-from torchjoint.segments.costs import combined_costs, crease_costs
-from torchjoint.segments.merging import merge
 from torchjoint.segments.method import Method
-from torchjoint.segments.planes import SMOOTH_REGIONS, one_sided_planes, small_regions
+from torchjoint.segments.planes import (
+    SMOOTH_REGIONS,
+    combined_costs,
+    crease_costs,
+    merge,
+    one_sided_planes,
+    small_regions,
+)
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.propagation import disagreement
 from torchjoint_lab.regions.config import RegionsConfig

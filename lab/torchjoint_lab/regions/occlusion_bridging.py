@@ -14,12 +14,11 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.cloud._vectors import dot, length, rows_of
-from torchjoint.runtime.sorted_groups import starts_group
+from torchjoint.runtime.groups import starts_group
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.planes import Planes
-from torchjoint.views.nearest_points import nearest_in_cells
-from torchjoint.views.observation import Observation
-from torchjoint.views.visibility import Visible
+from torchjoint.views.observations import Observation
+from torchjoint.views.visibility import Visible, nearest_in_cells
 from torchjoint_lab.regions.config import OcclusionBridgingConfig
 
 #: Cosine of the largest angle between the normals on the two sides, 26 degrees.

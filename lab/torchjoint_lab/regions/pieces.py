@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observation
 from torchjoint.views.propagation import disagreement, round_overlaps
 
 #: An image counts for a piece only if it sees at least this many points of the piece.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint.segments.merging import merge_sized
+from torchjoint.segments.planes import merge_sized
 
 
 def join_small(segment: Tensor, edge_index: Tensor, cost: Tensor, stays: Tensor, min_size: int) -> Tensor:

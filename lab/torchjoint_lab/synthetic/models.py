@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.messages import needed_for
 from torchjoint_lab.synthetic.furnished.arrays import Array
 from torchjoint_lab.synthetic.furnished.materials import Material
 from torchjoint_lab.synthetic.furnished.mesh import Part

@@ -9,7 +9,7 @@ The model: :mod:`boundary_examples` makes examples of labelled scenes, :mod:`bou
 :mod:`piece_graph_files` keeps prepared scenes.
 """
 
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model, save_boundary_model
+from torchjoint.segments.learned.boundary_model import load_boundary_model, save_boundary_model
 from torchjoint_lab.training.boundary_examples import BoundaryModelOptions, labelled_evidence
 from torchjoint_lab.training.boundary_model import fit_boundary_model, train_boundary_model
 from torchjoint_lab.training.train import TrainingOptions, train_boundaries

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchjoint.config import Config
 from torchjoint.joint import JointSegmenter
-from torchjoint.runtime.most_frequent import most_frequent
+from torchjoint.runtime.groups import most_frequent
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features

@@ -18,7 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES
-from torchjoint.images.structured_forest import padded
+from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES, padded
 from torchjoint_lab.datasets.bsds import BsdsImage
 from torchjoint_lab.training.channels import NUM_CHANNELS, SHRINK, Channels, image_channels
 from torchjoint_lab.training.features import (

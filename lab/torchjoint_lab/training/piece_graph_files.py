@@ -10,12 +10,11 @@ from typing import overload
 
 import torch
 
-from torchjoint.runtime.checked_files import read_checked, write_checked
-from torchjoint.segments.learned.image_counts import ImageCounts
+from torchjoint.runtime.files import read_checked, write_checked
+from torchjoint.segments.learned.images import ImageCounts
 from torchjoint.segments.learned.occluded_surfaces import Occlusions
 from torchjoint.segments.learned.piece_graph import BoundaryEdges, PieceGraph
-from torchjoint.segments.learned.region_statistics import RegionStatistics
-from torchjoint.segments.learned.summaries import Measure
+from torchjoint.segments.learned.region_statistics import Measure, RegionStatistics
 from torchjoint_lab.training.boundary_examples import LabelledEvidence
 
 #: The types that a file may contain besides tensors and numbers; none of them runs code when it is made.

@@ -18,8 +18,7 @@ from tqdm import tqdm
 
 from torchjoint.images.forest import LABEL_SIZE, NUM_FEATURES, Forest, read_forest
 from torchjoint.runtime.files import atomic_write
-from torchjoint.runtime.outputs import Output
-from torchjoint.runtime.work_folder import work_folder
+from torchjoint.runtime.outputs import Output, work_folder
 from torchjoint_lab.datasets.bsds import BsdsImage
 from torchjoint_lab.training.forest_file import write_forest
 from torchjoint_lab.training.patches import FeatureCodes, draw_samples, segmentation_lines

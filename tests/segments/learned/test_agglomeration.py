@@ -15,9 +15,8 @@ from torchjoint.segments.learned.agglomeration import (
     merging_steps,
 )
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model
-from torchjoint.segments.learned.consensus import build_consensus
-from torchjoint.segments.learned.draws import DRAWS, drawn_anew
+from torchjoint.segments.learned.boundary_model import load_boundary_model
+from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
 from torchjoint.segments.learned.method import segment
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.evidence import Evidence

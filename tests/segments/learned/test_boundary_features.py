@@ -11,20 +11,20 @@ from torchjoint.cloud.graph import build_point_graph
 from torchjoint.cloud.scales import measure_scales
 from torchjoint.scene import Cloud, Scene
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, BoundaryFeatures, boundary_features
-from torchjoint.segments.learned.image_agreement import image_agreement
-from torchjoint.segments.learned.image_counts import segments_of_pieces
+from torchjoint.segments.learned.images import image_agreement, segments_of_pieces
 from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.segments.learned.region_statistics import (
     InnerEdges,
+    Measure,
     Surface,
     axes,
     bulge_of_unions,
     covariance_of_unions,
     pooled,
     statistics_of_points,
+    summarize,
 )
-from torchjoint.segments.learned.summaries import Measure, summarize
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
 

@@ -12,10 +12,16 @@ import pytest
 import torch
 from reference.boosted_trees import EXAMPLE as BOOSTED_TREES
 
-from torchjoint.segments.learned import boundary_model_file
+from torchjoint.segments.learned import boundary_model as boundary_model_file
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES
-from torchjoint.segments.learned.boundary_model import BoostedTrees, BoundaryModel, MemberModel, calibrated
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model, save_boundary_model
+from torchjoint.segments.learned.boundary_model import (
+    BoostedTrees,
+    BoundaryModel,
+    MemberModel,
+    calibrated,
+    load_boundary_model,
+    save_boundary_model,
+)
 
 TREES = BoostedTrees(**{name: array for name, array in BOOSTED_TREES.items() if name != "values"}, baseline=0.5)
 KNOTS = torch.tensor([[0.2, 0.4, 0.8], [0.0, 0.5, 0.6]], dtype=torch.float64)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import torchjoint as tj
-from torchjoint.segments.learned.color_dropouts import without_dropouts
+from torchjoint.segments.learned.images import without_dropouts
 from torchjoint.segments.learned.pieces import build_piece_graph
 
 

@@ -12,10 +12,16 @@ from torchjoint_lab.synthetic import make_domain_scene
 import torchjoint as tj
 from torchjoint import ops
 from torchjoint.segments.learned.agglomeration import DEFAULT_HEIGHT, build_hierarchy
-from torchjoint.segments.learned.boundary_model import BoundaryModel
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model
-from torchjoint.segments.learned.consensus import NOISE, Panel, build_consensus, segments_of_judges, vote
-from torchjoint.segments.learned.draws import DEVIATION, drawn_anew
+from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
+from torchjoint.segments.learned.consensus import (
+    DEVIATION,
+    NOISE,
+    Panel,
+    build_consensus,
+    drawn_anew,
+    segments_of_judges,
+    vote,
+)
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.segments.learned.small_regions import MIN_SIZE
 

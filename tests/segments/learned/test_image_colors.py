@@ -11,12 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import torchjoint as tj
-from torchjoint.scene.pose_warning import PoseWarning
-from torchjoint.segments.learned.draws import DRAWS
-from torchjoint.segments.learned.image_colors import image_colors
+from torchjoint.scene.frame import PoseWarning
+from torchjoint.segments.learned.consensus import DRAWS
+from torchjoint.segments.learned.images import image_colors
 from torchjoint.segments.learned.pieces import build_piece_graph
-from torchjoint.views.observation import Observation
-from torchjoint.views.observations import Observations
+from torchjoint.views.observations import Observation, Observations
 from torchjoint.views.visibility import Visible
 
 HEIGHT, WIDTH = 3, 4

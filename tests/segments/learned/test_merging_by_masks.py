@@ -11,11 +11,10 @@ from torchjoint_lab.synthetic import with_network_masks
 
 import torchjoint as tj
 from torchjoint.scene import Hierarchy, Masks
-from torchjoint.segments.learned import mask_majority
-from torchjoint.segments.learned.mask_counts import MaskCounts, masks_of_pieces
-from torchjoint.segments.learned.mask_majority import move_to_majority
-from torchjoint.segments.learned.mask_merging import MaskLinkage
-from torchjoint.views.observation import Observation
+from torchjoint.segments.learned import masks as mask_majority
+from torchjoint.segments.learned.masks import MaskLinkage, move_to_majority
+from torchjoint.segments.learned.piece_graph import MaskCounts, masks_of_pieces
+from torchjoint.views.observations import Observation
 
 
 def with_masks(seen: Observation, masks: Masks) -> Observation:

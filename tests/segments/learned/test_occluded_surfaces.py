@@ -12,7 +12,7 @@ from torchjoint.scene import Frame, Scene
 from torchjoint.segments.learned.occluded_surfaces import Occlusions, _is_seen_through, continued_surfaces
 from torchjoint.segments.learned.region_statistics import RegionStatistics
 from torchjoint.views import occluders
-from torchjoint.views.observation import Observation
+from torchjoint.views.observations import Observation
 from torchjoint.views.occluders import lines_across
 from torchjoint.views.visibility import Visible
 

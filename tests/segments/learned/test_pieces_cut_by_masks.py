@@ -10,9 +10,9 @@ from torch import Tensor
 
 import torchjoint as tj
 from torchjoint.scene import Masks
-from torchjoint.segments.learned import mask_pieces
-from torchjoint.segments.learned.mask_pieces import cut_by_masks
-from torchjoint.views.observation import Observation
+from torchjoint.segments.learned import masks as mask_pieces
+from torchjoint.segments.learned.masks import cut_by_masks
+from torchjoint.views.observations import Observation
 
 CHAIN = torch.stack([torch.arange(5), torch.arange(1, 6)])
 WHOLE = [True] * 6

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from torchjoint.segments.scan.directions import LEAST_RANGE, directions
+from torchjoint.segments.scan.recognition import LEAST_RANGE, directions
 
 
 def test_directions_by_hand():

@@ -7,11 +7,11 @@ import torch
 from lidar_scans import HEIGHT, plane_hits, rays, scan
 
 from torchjoint.config import ScanConfig
-from torchjoint.segments.scan import ground_growth
-from torchjoint.segments.scan.directions import directions
+from torchjoint.segments.scan import ground as ground_growth
 from torchjoint.segments.scan.gaps import Gaps
-from torchjoint.segments.scan.ground_growth import grow_ground, rising
-from torchjoint.segments.scan.scan_segments import segment_scan
+from torchjoint.segments.scan.ground import grow_ground, rising
+from torchjoint.segments.scan.method import segment_scan
+from torchjoint.segments.scan.recognition import directions
 
 
 class TestRising:

@@ -15,9 +15,9 @@ from torchjoint_lab.synthetic import DOMAINS
 import torchjoint as tj
 from torchjoint.datasets import load_scene
 from torchjoint.scene import Scene
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.scene.scene import voxel_subsample
 from torchjoint.segments.method import choose_method
-from torchjoint.segments.scan.one_view import MOST, dependence_on_range, look_for_scan
+from torchjoint.segments.scan.recognition import MOST, dependence_on_range, look_for_scan
 
 BOXES = (
     ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1)),

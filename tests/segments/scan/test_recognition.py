@@ -10,7 +10,7 @@ from torchjoint_lab.synthetic import DOMAINS, make_domain_scene
 
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.datasets.files.clouds import read_scan
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.scene.scene import voxel_subsample
 from torchjoint.segments.scan.recognition import find_rings
 from torchjoint.views.projection import in_any_view
 

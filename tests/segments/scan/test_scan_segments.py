@@ -12,12 +12,12 @@ from torchjoint.config import ScanConfig
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.datasets.files.clouds import read_scan
 from torchjoint.metrics import mean_best_iou
-from torchjoint.segments.scan import gaps, scan_segments
-from torchjoint.segments.scan.directions import directions
+from torchjoint.segments.scan import gaps
+from torchjoint.segments.scan import method as scan_segments
 from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, height_over_ground
-from torchjoint.segments.scan.recognition import Rings
-from torchjoint.segments.scan.scan_segments import segment_scan, with_near_rings
+from torchjoint.segments.scan.method import segment_scan, with_near_rings
+from torchjoint.segments.scan.recognition import Rings, directions
 from torchjoint.views.projection import in_any_view
 
 BOXES = (

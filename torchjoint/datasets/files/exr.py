@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.runtime import bounds
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import present
+from torchjoint.runtime.messages import needed_for
 
 
 def read_exr(path: Path, channel: str) -> Tensor:

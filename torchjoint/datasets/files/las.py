@@ -21,9 +21,9 @@ import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.files.columns import CloudFile, tell_not_read, unit_colors
-from torchjoint.runtime import bounds
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
+from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".las", ".laz")
 #: Points that are read at a time; a chunk of LAZ has 50,000.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.messages import needed_for
 
 #: A packed block starts so. It holds at most 10,000 matches of 2,359 bytes, whatever size its header declares.
 _BLOCKS = (b"bvx1", b"bvx2")

@@ -23,9 +23,9 @@ from torch.nn.functional import normalize
 from torchjoint.datasets.files.columns import CloudFile, unit_colors
 from torchjoint.datasets.files.readers import RASTERS, decode_image
 from torchjoint.datasets.files.text import path_inside
-from torchjoint.runtime import bounds
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import has_file, parse_json, read_file
+from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".obj", ".glb", ".gltf", ".off", ".stl")
 Array = npt.NDArray[Any]

@@ -16,9 +16,9 @@ from threading import Lock
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from torchjoint.runtime import bounds
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime import foreign_files as bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder, present, read_file
+from torchjoint.runtime.messages import needed_for
 
 #: Suffixes of a recording in one file, and of the files that a ROS 2 recording's folder lists.
 SUFFIXES = (".bag", ".mcap", ".db3")

@@ -27,7 +27,7 @@ from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.files.text import parse_numbers, read_lines, read_record
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_left_out
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 
 WHAT = (

@@ -25,7 +25,7 @@ from torchjoint.datasets.files.readers import read_image_size, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
 from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_pose
 

@@ -22,7 +22,7 @@ from torch import Tensor
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_label_image, read_matrix
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_labels, as_pose
 

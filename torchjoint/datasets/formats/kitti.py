@@ -26,7 +26,7 @@ from torchjoint.datasets.files.readers import read_image
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.recording import Options
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
 

@@ -27,7 +27,7 @@ from torchjoint.datasets.files.readers import read_image, read_matrix
 from torchjoint.datasets.files.text import read_record
 from torchjoint.datasets.recording import Options
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_pose
 

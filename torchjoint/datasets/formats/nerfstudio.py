@@ -32,7 +32,7 @@ from torchjoint.datasets.files.readers import read_array, read_depth, read_image
 from torchjoint.datasets.files.text import Record, frame_names, path_inside, read_record
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import as_pose
 

@@ -23,7 +23,7 @@ from torchjoint.datasets.files.readers import read_depth, read_image, read_label
 from torchjoint.datasets.files.text import Record, read_record
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import as_pose
 

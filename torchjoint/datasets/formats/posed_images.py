@@ -21,7 +21,7 @@ from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scen
 from torchjoint.datasets.scannet_cameras import COLOR_SIZE, DEPTH_SIZE, Calibration, Cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, read_point_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder, read_text
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
 

@@ -42,9 +42,9 @@ from torchjoint.datasets.formats.tum import associate
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_left_out
 from torchjoint.datasets.ros_poses import ODOMETRY, Poses
 from torchjoint.runtime.foreign_files import has_file
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.thinning import voxel_subsample
+from torchjoint.scene.scene import voxel_subsample
 
 WHAT = "a ROS recording: .bag, .mcap, .db3, or a folder with metadata.yaml"
 INFO, POINTS = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"

@@ -31,7 +31,7 @@ from torchjoint.datasets.recording import Options, find_cloud, invert_pose, read
 from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
 

@@ -36,7 +36,7 @@ from torchjoint.datasets.recording import (
 )
 from torchjoint.datasets.scannet_truth import point_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
 

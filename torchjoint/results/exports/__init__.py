@@ -16,10 +16,7 @@ from torchjoint.results.exports.boxes import (
     export_point_labels,
 )
 from torchjoint.results.exports.clouds import export_las, export_npz, export_ply
-from torchjoint.results.exports.coco import export_coco
-from torchjoint.results.exports.openmask3d import export_openmask3d
-from torchjoint.results.exports.sam import export_sam
-from torchjoint.results.exports.scannet import export_masks, export_scannet
+from torchjoint.results.exports.masks import export_coco, export_masks, export_openmask3d, export_sam, export_scannet
 from torchjoint.results.result import Result
 
 #: The export functions, by name of the format.

@@ -1,6 +1,6 @@
 """Boxes of the segments, for programs of annotation and networks of detection: see :mod:`torchjoint.results.boxes`.
 
-Labels of points for such a program are here, too; :mod:`torchjoint.results.point_edits` reads them.
+Labels of points for such a program are here, too; :mod:`torchjoint.results.shared_edits` reads them.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ import numpy as np
 
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.result import Result
-from torchjoint.runtime.extras import needed_for
 from torchjoint.runtime.files import atomic_write, file_name, frame_files
+from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu
 
 

@@ -1,15 +1,21 @@
-"""Masks of a label image in COCO's run-length encoding, by pycocotools."""
+"""Exports of a result's masks: PNG, SAM, COCO, OpenMask3D, ScanNet."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from torchjoint.results.objects import image_views
-from torchjoint.runtime.extras import needed_for
+from torchjoint.results.result import Result
+from torchjoint.runtime.files import atomic_write, file_name, frame_files, write_text
+from torchjoint.runtime.messages import needed_for
+from torchjoint.runtime.threads import on_cpu, parallel_map
 
 
 class Mask(NamedTuple):
@@ -35,3 +41,151 @@ def masks_of(labels: Tensor) -> Iterator[Mask]:
             encoded = coder.encode(np.asfortranarray((place == index).numpy(), dtype=np.uint8))
             counts = encoded["counts"].decode("ascii")
             yield Mask(int(ids[index]), list(box), area, {"size": list(labels.shape), "counts": counts})
+
+
+@on_cpu()
+def export_sam(folder: Path, result: Result) -> None:
+    """Writes NAME.json for each image; an annotation's `id` is the label, the same in all images and in the cloud.
+
+    An annotation has mask, box and area. It has no `predicted_iou`, `stability_score` and `point_coords`, because the
+    method computes none.
+
+    Raises:
+        ModuleNotFoundError: pycocotools is not installed.
+        ValueError: the result has no images.
+    """
+    if not len(result.images):
+        raise ValueError("--format sam: expected a result with images, got none")
+
+    files = frame_files(result.names)
+
+    def write(index: int) -> None:
+        name, (height, width) = files[index], result.images[index].shape
+        image = {"image_id": index, "width": width, "height": height, "file_name": f"{name}.jpg"}
+        annotations = [
+            {
+                "id": mask.segment,
+                "segmentation": mask.encoded,
+                "bbox": mask.box,
+                "area": mask.area,
+                "crop_box": [0, 0, width, height],
+            }
+            for mask in masks_of(result.images[index])
+        ]
+        text = json.dumps({"image": image, "annotations": annotations})
+        (folder / f"{name}.json").write_text(text, encoding="utf-8")
+
+    folder.mkdir()
+    parallel_map(write, range(len(result.images)))
+
+
+@on_cpu()
+def export_coco(path: Path, result: Result) -> None:
+    """Writes one JSON file; an annotation's `segment_id` is the label, the same in all images and in the cloud.
+
+    `in_cloud` is False for a segment of an image that has no points. All annotations have category 1, "object". `score`
+    is the confidence in the segment, where the result has one; `segment_name` is the name that it got by hand.
+
+    Raises:
+        ModuleNotFoundError: pycocotools is not installed.
+        ValueError: the result has no images.
+    """
+    if not len(result.images):
+        raise ValueError("--format coco: expected a result with images, got none")
+    count, files, names = result.num_point_segments, frame_files(result.names), result.segment_names
+    scores = [] if result.confidence is None else result.confidence.tolist()
+    of_images = parallel_map(lambda index: list(masks_of(result.images[index])), range(len(result.images)))
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for index, masks in enumerate(of_images):
+        height, width = result.images[index].shape
+        images.append({"id": index + 1, "file_name": f"{files[index]}.jpg", "width": width, "height": height})
+        for mask in masks:
+            annotations.append(
+                {
+                    "id": len(annotations) + 1,
+                    "image_id": index + 1,
+                    "category_id": 1,
+                    "segmentation": mask.encoded,
+                    "area": mask.area,
+                    "bbox": mask.box,
+                    "iscrowd": 0,
+                    "segment_id": mask.segment,
+                    **({"segment_name": names[mask.segment]} if names.get(mask.segment) else {}),
+                    "in_cloud": mask.segment < count,
+                    **({"score": round(scores[mask.segment], 4)} if mask.segment < len(scores) else {}),
+                }
+            )
+    record = {
+        "info": {"description": "torchjoint: one segment_id is one object, in every image"},
+        "licenses": [],
+        "images": images,
+        "annotations": annotations,
+        "categories": [{"id": 1, "name": "object", "supercategory": "object"}],
+    }
+    write_text(path, json.dumps(record))
+
+
+#: The class of all instances.
+LABEL = 1
+
+
+@on_cpu()
+def export_scannet(folder: Path, result: Result) -> None:
+    """Writes SCENE.txt, and a mask of the cloud for each segment in predicted_masks/.
+
+    SCENE is the scene's name. A line of SCENE.txt is ``predicted_masks/SCENE_000.txt 1 score``; the score is the
+    confidence in the segment, or 1 where the result has none.
+    """
+    name = scene_name(result)
+    (folder / "predicted_masks").mkdir(parents=True)
+    lines = []
+    for segment, score in enumerate(_scores(result).tolist()):
+        file = f"predicted_masks/{name}_{segment:03d}.txt"
+        digits = (result.points == segment).numpy().astype(np.uint8) + ord("0")
+        (folder / file).write_bytes(np.stack([digits, np.full_like(digits, ord("\n"))], 1).tobytes())
+        lines.append(f"{file} {LABEL} {score:.4f}\n")
+    (folder / f"{name}.txt").write_text("".join(lines), encoding="utf-8")
+
+
+@on_cpu()
+def export_masks(path: Path, result: Result) -> None:
+    """Writes an archive with the arrays pred_masks [N, S] bool, pred_score [S] and pred_classes [S]."""
+    count = result.num_point_segments
+    masks = (result.points[:, None] == torch.arange(count)).numpy()
+    with atomic_write(path) as partial, partial.open("wb") as stream:  # NumPy would add .npz to a path
+        np.savez_compressed(
+            stream,
+            pred_masks=masks,
+            pred_score=_scores(result).numpy(),
+            pred_classes=np.full(count, LABEL, dtype=np.int32),
+        )
+
+
+def scene_name(result: Result) -> str:
+    """The scene's name as a word, for names of files."""
+    return file_name("_".join(result.scene.name.split()) or "scene")
+
+
+def _scores(result: Result) -> Tensor:
+    sure = result.confidence
+    return torch.ones(result.num_point_segments, dtype=torch.float64) if sure is None else sure
+
+
+@on_cpu()
+def export_openmask3d(folder: Path, result: Result) -> None:
+    """Writes SCENE_masks.pt, a tensor [N, S] bool, and SCENE_openmask3d_features.npy, [S, D] float32.
+
+    OpenMask3D itself saves its masks as a NumPy array, which ``torch.load`` of today refuses; its programs take both.
+    The vectors are of unit length; as there, a segment that no frame sees has zeros.
+
+    Raises:
+        ValueError: no embeddings were saved with the result.
+    """
+    if result.embeddings is None:
+        raise ValueError("--format openmask3d: expected saved embeddings, got none; result.embed(...).save(RESULT)")
+    folder.mkdir(parents=True)
+    name = scene_name(result)
+    masks = result.points[:, None] == torch.arange(result.num_point_segments)
+    torch.save(masks, folder / f"{name}_masks.pt")
+    np.save(folder / f"{name}_openmask3d_features.npy", result.embeddings.vectors.numpy())

@@ -14,14 +14,14 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.runtime.first_places import first_places
+from torchjoint.runtime.groups import first_places
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned.boundary_features import boundary_features
-from torchjoint.segments.learned.mask_merging import MaskLinkage
+from torchjoint.segments.learned.masks import MaskLinkage
 from torchjoint.segments.learned.occluded_surfaces import Occlusions, continued_surfaces
 from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.segments.learned.small_regions import MIN_SIZE, merges_by_contact
-from torchjoint.segments.learned.summaries import sum_by
 
 #: Thresholds of the rounds after the model's own. At 1 all regions that touch have merged. There are several rounds,
 #: because the model judges larger regions again. They cost little, because few regions are left.

@@ -13,17 +13,19 @@ from torch.nn.functional import normalize
 
 from torchjoint.cloud._vectors import dot, length
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.segments.learned.image_agreement import image_agreement
+from torchjoint.segments.learned.images import image_agreement
 from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.region_statistics import (
+    Measure,
     RegionStatistics,
     axes,
     bulge_of_unions,
     color_contrasts,
     covariance_of_unions,
     pooled,
+    sum_by,
+    summarize,
 )
-from torchjoint.segments.learned.summaries import Measure, sum_by, summarize
 
 #: Smallest divisor, because regions of one point or of points in a line or plane have widths of 0.
 TINY = 1e-30

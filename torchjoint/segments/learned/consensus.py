@@ -3,7 +3,7 @@
 Merging is greedy: one boundary that is judged a hair higher changes all that merges later, so that points moved by a
 tenth of a millimetre may give other objects. Several judges, each of which merges by itself, rarely make the same
 accidental merge. Two pieces are kept together where most of their trees have them together. The judges also see
-different draws of the evidence (:mod:`~torchjoint.segments.learned.draws`), because pieces grow greedily, too.
+different draws of the evidence (:mod:`~torchjoint.segments.learned.consensus`), because pieces grow greedily, too.
 """
 
 from __future__ import annotations
@@ -15,13 +15,15 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
+from torchjoint.cloud._vectors import dot
+from torchjoint.cloud.graph import PointGraph
+from torchjoint.cloud.normals import estimate_normals
+from torchjoint.cloud.scales import Scales
 from torchjoint.ops.internal import WEIGHT_UNIT, mask_merges
-from torchjoint.runtime.first_places import numbers_by_first_place
-from torchjoint.runtime.most_frequent import most_frequent
-from torchjoint.runtime.sorted_groups import members_of_groups
+from torchjoint.runtime.groups import members_of_groups, most_frequent, numbers_by_first_place
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
-from torchjoint.scene.votes import Votes
+from torchjoint.scene.hierarchy import Votes
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
     Merges,
@@ -33,9 +35,36 @@ from torchjoint.segments.learned.agglomeration import (
 )
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
-from torchjoint.segments.learned.mask_counts import counted
-from torchjoint.segments.learned.piece_graph import PieceGraph, disjoint_union
-from torchjoint.segments.learned.summaries import sum_by
+from torchjoint.segments.learned.piece_graph import PieceGraph, counted, disjoint_union
+from torchjoint.segments.learned.region_statistics import sum_by
+
+#: Number of draws; the first one is the cloud itself.
+DRAWS = 3
+#: Standard deviation of the noise of the points along each axis, in multiples of their spacing.
+DEVIATION = 0.1
+
+
+def drawn_anew(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
+    """The graph with its points moved a little, and with the normals of the moved points.
+
+    Edges and neighbours stay, and each normal keeps its side, so all evidence of images is valid for it. Given normals
+    stay, too.
+
+    Args:
+        graph: the cloud itself.
+        scales: its noise and spacing.
+        number: of the draw, 1, 2, ...; equal numbers give equal draws.
+    """
+    random = torch.Generator().manual_seed(number)
+    # uniform, as the judges' noise
+    noise = 2 * torch.rand(graph.points.shape, generator=random, dtype=graph.points.dtype) - 1
+    points = graph.points + DEVIATION * 3**0.5 * scales.spacing[:, None] * noise
+    normals = graph.normals
+    if not graph.has_given_normals:
+        fitted = estimate_normals(points, graph.neighbors[:, : scales.normal_neighbors].contiguous())
+        normals = torch.where(dot(fitted, normals)[:, None] < 0, -fitted, fitted)
+    return replace(graph, points=points, normals=normals, wide_normals=estimate_normals(points, graph.neighbors))
+
 
 #: Standard deviation of the noise of a disturbed judge, in log odds. Chosen among 0, .4, .7 and 1 on six real sets.
 NOISE = 0.7

@@ -6,18 +6,15 @@ It measures distances in units of the cloud's noise and spacing.
 from __future__ import annotations
 
 from torchjoint.cloud.graph import PointGraph, build_point_graph
-from torchjoint.cloud.local import LocalFrame
-from torchjoint.cloud.prepared import local_cloud
-from torchjoint.cloud.working_cloud import working_cloud
+from torchjoint.cloud.local import LocalFrame, local_cloud
+from torchjoint.cloud.scales import working_cloud
 from torchjoint.config import Config
-from torchjoint.runtime.lazy import LazySequence
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Cloud, Hierarchy
 from torchjoint.segments.learned.agglomeration import build_hierarchy
-from torchjoint.segments.learned.boundary_model import BoundaryModel
-from torchjoint.segments.learned.boundary_model_file import load_boundary_model
-from torchjoint.segments.learned.consensus import build_consensus
-from torchjoint.segments.learned.draws import DRAWS, drawn_anew
-from torchjoint.segments.learned.mask_majority import move_to_majority
+from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
+from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
+from torchjoint.segments.learned.masks import move_to_majority
 from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.evidence import Evidence

@@ -18,9 +18,8 @@ from torch.nn.functional import normalize
 from torchjoint.cloud._vectors import dot, length
 from torchjoint.cloud.scales import Scales
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.segments.learned.region_statistics import RegionStatistics, color_contrasts, pooled
-from torchjoint.segments.learned.summaries import sum_by
-from torchjoint.views.observation import Observation
+from torchjoint.segments.learned.region_statistics import RegionStatistics, color_contrasts, pooled, sum_by
+from torchjoint.views.observations import Observation
 from torchjoint.views.occluders import DEPTH_STEP, STEP_IN_NOISE, CoarseZBuffer
 from torchjoint.views.projection import nearest_pixel, project
 

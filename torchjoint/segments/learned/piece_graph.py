@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any, NamedTuple
@@ -10,12 +10,91 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.ops.internal import WEIGHT_UNIT
+from torchjoint.runtime.groups import members_of_groups
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.segments.learned.image_counts import ImageCounts
-from torchjoint.segments.learned.mask_counts import MaskCounts
+from torchjoint.scene.masks import Masks
+from torchjoint.segments.learned.images import ImageCounts
 from torchjoint.segments.learned.occluded_surfaces import Occlusions
-from torchjoint.segments.learned.region_statistics import RegionStatistics, pooled
-from torchjoint.segments.learned.summaries import Measure
+from torchjoint.segments.learned.region_statistics import Measure, RegionStatistics, pooled
+from torchjoint.views.observations import Observation
+from torchjoint.views.visibility import Visible
+
+
+class MaskCounts(NamedTuple):
+    """How many points of each piece lie in each mask. All M masks of all frames are numbered together."""
+
+    in_mask: Tensor  #: [3, I] int64: piece, mask, number of points
+    in_frame: Tensor  #: [3, J] int64: piece, frame, number of points that the frame sees
+    weight: Tensor  #: [M] int64, score of each mask in units of 1 / WEIGHT_UNIT
+    frame_of_mask: Tensor  #: [M] int64, the frame of each mask; some frames may have no masks
+
+    def of_regions(self, of_piece: Tensor) -> tuple[Tensor, Tensor]:
+        """`in_mask` and `in_frame` of regions instead of pieces; `of_piece` is the region of each piece, [P] int64."""
+        (piece, mask, in_mask), (seen_piece, frame, in_frame) = self.in_mask, self.in_frame
+        return counted(of_piece[piece], mask, in_mask), counted(of_piece[seen_piece], frame, in_frame)
+
+
+def masks_of_pieces(
+    piece: Tensor, observations: Sequence[Observation], is_counted: Callable[[int, Tensor], Tensor] | None = None
+) -> MaskCounts | None:
+    """Counts the visible points of each piece in each mask.
+
+    Args:
+        piece: [N] int64, piece of each point.
+        observations: the frames; those without masks do not count.
+        is_counted: (number of a frame, its visible points [V]) -> which of them count, [V] bool; None: all count.
+
+    Returns:
+        None if no frame has masks.
+    """
+
+    def count(frame: int) -> tuple[Tensor, Tensor, Tensor, int] | None:
+        seen = observations[frame]
+        if seen.masks is None:
+            return None
+        chosen = slice(None) if is_counted is None else is_counted(frame, seen.visible.point)
+        return _count(piece, seen.visible, seen.masks, frame, chosen)
+
+    tables = [one for one in parallel_map(count, range(len(observations))) if one is not None]
+    if not tables:
+        return None
+    num_masks = torch.tensor([len(scores) for _, _, scores, _ in tables])
+    first = num_masks.cumsum(0) - num_masks
+    in_mask = [
+        rows + torch.tensor([[0], [start], [0]]) for (rows, *_), start in zip(tables, first.tolist(), strict=True)
+    ]
+    in_frame = [rows for _, rows, *_ in tables]
+    scores = torch.cat([scores for _, _, scores, _ in tables])
+    return MaskCounts(
+        torch.cat(in_mask, 1),
+        torch.cat(in_frame, 1),
+        (scores.double() * WEIGHT_UNIT).round().long(),
+        torch.cat([torch.full((len(scores),), frame) for _, _, scores, frame in tables]),
+    )
+
+
+def _count(
+    piece: Tensor, visible: Visible, masks: Masks, frame: int, chosen: Tensor | slice
+) -> tuple[Tensor, Tensor, Tensor, int]:
+    """For one frame: rows (piece, mask, points); rows (piece, frame, visible points); scores of masks; its number."""
+    there = piece[visible.point[chosen]]
+    of_piece, num_seen = torch.unique(there, return_counts=True)
+    in_frame = torch.stack([of_piece, torch.full_like(of_piece, frame), num_seen])
+    atom = masks.atom[visible.row[chosen], visible.column[chosen]].long()
+    key, count = torch.unique(there * masks.num_atoms + atom, return_counts=True)
+    # Each atom counts for all masks in which it lies.
+    atoms, mask = masks.pairs[:, torch.argsort(masks.pairs[0], stable=True)]
+    row, member = members_of_groups(torch.bincount(atoms, minlength=masks.num_atoms), key % masks.num_atoms)
+    return counted(key[row] // masks.num_atoms, mask[member], count[row]), in_frame, masks.scores, frame
+
+
+def counted(region: Tensor, key: Tensor, count: Tensor) -> Tensor:
+    """Sorted rows [3, K] of (region, key, count); counts with equal region and key are added."""
+    num_keys = int(key.max()) + 1 if key.numel() else 1
+    pair, inverse = torch.unique(region * num_keys + key, return_inverse=True)
+    total = torch.zeros_like(pair).index_add_(0, inverse, count)
+    return torch.stack([pair // num_keys, pair % num_keys, total])
 
 
 class BoundaryEdges(NamedTuple):

@@ -13,24 +13,25 @@ from torch import Tensor
 
 from torchjoint.cloud._vectors import dot, length, rows_of
 from torchjoint.cloud.edge_weights import map_edges
-from torchjoint.cloud.graph import PointGraph
+from torchjoint.cloud.graph import PointGraph, orient_normals
 from torchjoint.cloud.normals import angle_between, is_convex
-from torchjoint.cloud.orientation import orient_normals
 from torchjoint.cloud.scales import Scales
-from torchjoint.images.exposure import brightened
+from torchjoint.images.segmenter import brightened
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.segments.costs import combined_costs, crease_costs
-from torchjoint.segments.learned.color_dropouts import without_dropouts
-from torchjoint.segments.learned.image_colors import image_colors
-from torchjoint.segments.learned.image_counts import segments_of_pieces
-from torchjoint.segments.learned.mask_counts import masks_of_pieces
-from torchjoint.segments.learned.mask_pieces import cut_by_masks
+from torchjoint.segments.learned.images import image_colors, segments_of_pieces, without_dropouts
+from torchjoint.segments.learned.masks import cut_by_masks
 from torchjoint.segments.learned.occluded_surfaces import find_occlusions
-from torchjoint.segments.learned.piece_graph import BoundaryEdges, PieceGraph
-from torchjoint.segments.learned.region_statistics import InnerEdges, Surface, statistics_of_points
-from torchjoint.segments.learned.summaries import Measure
-from torchjoint.segments.merging import merge
-from torchjoint.segments.planes import SMOOTH_REGIONS, Planes, one_sided_planes, small_regions
+from torchjoint.segments.learned.piece_graph import BoundaryEdges, PieceGraph, masks_of_pieces
+from torchjoint.segments.learned.region_statistics import InnerEdges, Measure, Surface, statistics_of_points
+from torchjoint.segments.planes import (
+    SMOOTH_REGIONS,
+    Planes,
+    combined_costs,
+    crease_costs,
+    merge,
+    one_sided_planes,
+    small_regions,
+)
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.propagation import disagreement
 

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.runtime.first_places import first_places
-from torchjoint.segments.learned.summaries import sum_by
+from torchjoint.runtime.groups import first_places
+from torchjoint.segments.learned.region_statistics import sum_by
 
 #: A region of fewer points is small. Networks do not detect smaller objects reliably, and leave such remains.
 MIN_SIZE = 50

@@ -1,21 +1,21 @@
-"""Step 6, method scan: finds the ground of a LiDAR scan, from the sensor outward in each azimuth column.
-
-M. Himmelsbach et al., "Fast Segmentation of 3D Point Clouds for Ground Vehicles" (IV 2010), fit lines to the lowest
-points of the cells of a column. Here a height profile connects these lowest points, and neighbouring profiles are
-compared.
-"""
+"""Step 6, method scan: the ground of a scan."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint.ops.internal import ground_heights
-from torchjoint.runtime.threads import all_threads, one_thread_per_operation
+from torchjoint.config import ScanConfig
+from torchjoint.ops.internal import ground_heights, something_rises
+from torchjoint.runtime.threads import all_threads, num_threads, one_thread_per_operation
 from torchjoint.scene.checks import as_points
-from torchjoint.segments.scan.directions import Directions, directions
+from torchjoint.segments.scan.gaps import Gaps
+from torchjoint.segments.scan.recognition import Directions, directions
 
 #: Width of the azimuth columns along which the ground is followed, degrees: wide enough that few columns are empty
 #: behind objects, narrow enough for streets that bend or bank.
@@ -96,4 +96,114 @@ def ground_below(seen: Directions, height: Tensor, used: Tensor | None = None) -
             near=NEAR,
             blind=BLIND,
             sides=SIDES,
+        )
+
+
+#: Largest horizontal distance from the ground to a patch that joins it: metres, and metres per metre of distance from
+#: the sensor, because rings on the ground are farther apart far from the sensor. The larger of the two counts.
+HOP, HOP_GROWTH = 2.0, 0.1
+
+#: A patch joins the ground if at least this share of its points near the ground fits the ground.
+SHARE = 0.8
+
+#: Largest number of rounds in which patches join the ground.
+ROUNDS = 12
+
+#: Width of a cell in azimuth, radians (1 degree). Its length is about this share of its distance from the sensor.
+CELL = math.radians(1.0)
+
+#: Metres. A point higher than this above another one hangs over it (tree crowns, signs) and does not rise from it.
+OVERHANG = 2.5
+
+
+def grow_ground(
+    points: Tensor, height: Tensor, seen: Directions, gaps: Gaps, config: ScanConfig, used: Tensor | None = None
+) -> Tensor:
+    """Which points of a scan belong to the ground.
+
+    1. Points lower than GROUND_HEIGHT above the profiles.
+    2. Points lower than `object_height` above the profiles, if nothing rises from them.
+    3. Patches: connected points from which nothing rises. A patch joins the ground if most of its points near the
+       ground fit: their height differs from that of the nearest point of the ground by at most GROUND_HEIGHT plus
+       MAX_SLOPE times the horizontal distance. This is repeated, because another patch may continue this one.
+
+    Args:
+        points: [N, 3] metres, z up.
+        height: [N] float64 metres above the profiles.
+        seen: directions of the points.
+        gaps: which points are connected.
+        config: object_height.
+        used: [N] bool, the points that may rise from others; None: all.
+
+    Returns:
+        [N] bool, True for ground.
+    """
+    on_ground = height < GROUND_HEIGHT
+    if config.object_height == 0:
+        return on_ground
+    standing = torch.nonzero(~on_ground).flatten()
+    flat = standing[~rising(seen, points[:, 2].double(), standing, config.object_height, used)]
+    on_ground[flat[height[flat] < config.object_height]] = True
+    flat = flat[~on_ground[flat]]
+    among = torch.zeros_like(on_ground)
+    among[flat] = True
+    patch = gaps.components(among)[flat].numpy()
+    x, y, z = (column.double().numpy() for column in points.unbind(1))
+    hop = (HOP_GROWTH * seen.distance).clamp(min=HOP).numpy()
+    slope = math.tan(math.radians(MAX_SLOPE))
+    left, new = flat.numpy(), torch.nonzero(on_ground).flatten().numpy()
+    way, nearest = np.full(len(left), np.inf), np.zeros(len(left), dtype=np.int64)
+    count = int(patch.max(initial=0)) + 1
+    for _ in range(ROUNDS):
+        if len(left) == 0 or len(new) == 0:
+            break
+        # Only ground that was added in the last round, so only its box, may be nearer than what was found before.
+        some = np.flatnonzero(np.hypot(_beside(x[left], x[new]), _beside(y[left], y[new])) * (1 - 1e-9) < way)
+        tree = cKDTree(np.stack([x[new], y[new]], axis=1), balanced_tree=False, compact_nodes=False)
+        reach = float(hop[left].max()) * (1 + 1e-9)  # what is farther away is not near
+        own = np.stack([x[left[some]], y[left[some]]], axis=1)
+        found, which = tree.query(own, distance_upper_bound=reach, workers=num_threads())
+        nearer = found < way[some]
+        some = some[nearer]
+        way[some], nearest[some] = found[nearer], new[which[nearer]]
+        step = np.abs(z[left] - z[nearest])
+        near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
+        num_near = np.bincount(patch[near], minlength=count)
+        joins = (num_near > 0) & (np.bincount(patch[near & fits], minlength=count) >= SHARE * num_near)
+        stays = ~joins[patch]
+        new = left[~stays]
+        on_ground[torch.from_numpy(new)] = True
+        left, way, nearest, patch = left[stays], way[stays], nearest[stays], patch[stays]
+    return on_ground
+
+
+def _beside(values: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far values are from the range of others."""
+    return np.maximum(others.min() - values, values - others.max()).clip(min=0)
+
+
+def rising(seen: Directions, height: Tensor, which: Tensor, object_height: float, used: Tensor | None = None) -> Tensor:
+    """Whether something rises from points: whether a higher point lies in the same cell or in one of the 8 around it.
+
+    The higher point must be more than `object_height` and less than `OVERHANG` above the point. The cells divide the
+    plane by azimuth and by the logarithm of the horizontal distance.
+
+    Args:
+        seen: directions of N points.
+        height: [N] float64 metres, above any reference.
+        which: [M] int64, the points to test.
+        object_height: metres.
+        used: [N] bool, the points that may be the higher ones; None: all.
+
+    Returns:
+        [M] bool.
+    """
+    num_columns = round(2 * math.pi / CELL)
+    column = ((seen.azimuth + math.pi) / (2 * math.pi) * num_columns).long() % num_columns
+    row = (seen.distance.clamp(min=1e-3).log() / CELL).floor().long()
+    row -= row.min()
+    used = torch.ones_like(column, dtype=torch.bool) if used is None else used
+    with all_threads():
+        return something_rises(
+            column, row, height, used, which, num_columns, int(row.max()) + 1, object_height, OVERHANG
         )

@@ -2,19 +2,107 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal
 
+import torch
 from torch import Tensor
 
 from torchjoint.cloud.graph import PointGraph, build_edgeless_graph
-from torchjoint.cloud.local import LocalFrame
-from torchjoint.cloud.prepared import local_cloud
-from torchjoint.config import Config
+from torchjoint.cloud.local import LocalFrame, local_cloud
+from torchjoint.cloud.neighbors import SPACING_NEIGHBORS
+from torchjoint.config import Config, ScanConfig
+from torchjoint.ops.internal import local_spacing
+from torchjoint.runtime.groups import numbers_by_first_place
+from torchjoint.runtime.threads import all_threads, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud
-from torchjoint.segments.scan.one_view import look_for_scan
-from torchjoint.segments.scan.recognition import Rings
-from torchjoint.segments.scan.scan_segments import segment_scan
+from torchjoint.scene.checks import as_points
+from torchjoint.segments.scan.gaps import Gaps
+from torchjoint.segments.scan.ground import GROUND_HEIGHT, ground_below, grow_ground
+from torchjoint.segments.scan.recognition import Directions, Rings, directions, find_rings, look_for_scan
 from torchjoint.views.evidence import Evidence
+
+#: Largest mean distance of a point of the ground to its nearest neighbours, in allowed gaps: the ground is denser than
+#: what rises from it far away. Points with a larger one than the gap itself may be outliers, from which nothing rises.
+GROUND_GAP = 0.6
+
+#: The part of the allowed gap that grows with range must span at least this many steps between rings.
+RINGS_IN_GAP = 4
+
+
+def segment_scan(
+    points: Tensor, config: ScanConfig | None = None, rings: Rings | Literal["search"] | None = "search"
+) -> Tensor:
+    """Segments one scan of a LiDAR, without training, colours or normals.
+
+    Points on the ground (:func:`~torchjoint.segments.scan.ground.grow_ground`) are one segment. All other points
+    are connected with their nearest neighbours over at most the gap that is allowed at the range of the nearer one,
+    `gap` + `gap_growth` r, and connected points are a segment (:class:`~torchjoint.segments.scan.gaps.Gaps`). Distances
+    are those after the rings were moved closer together (:func:`with_near_rings`).
+
+    Args:
+        points: [N, 3] metres, z up, the sensor at the origin.
+        config: see :class:`ScanConfig`.
+        rings: of the scan; None: it has none; "search": they are searched for.
+
+    Returns:
+        [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels do not depend on the number of
+        threads.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
+    """
+    config = config or ScanConfig()
+    with torch.no_grad(), one_thread_per_operation():
+        gaps, on_ground = scan_gaps(points, config, rings)
+        labels = gaps.components(~on_ground, config.min_size)
+        return numbers_by_first_place(labels, int(labels.max()) + 1)[labels]
+
+
+def scan_gaps(points: Tensor, config: ScanConfig, rings: Rings | Literal["search"] | None) -> tuple[Gaps, Tensor]:
+    """The points over the profiles of the ground, with their neighbours; and [N] bool, all points on the ground.
+
+    Arguments and errors are those of :func:`segment_scan`.
+    """
+    points = as_points(points).float()
+    seen, height = directions(points), points[:, 2].double()
+    gap = config.gap + config.gap_growth * seen.range
+    with all_threads():
+        spacing = local_spacing(points, gap, GROUND_GAP, SPACING_NEIGHBORS)
+    parts: list[Callable[[], Any]] = [partial(ground_below, seen, height, _or_all(spacing == 0))]
+    if rings == "search":
+        parts.append(partial(find_rings, points, seen))
+    below, *found = parallel_map(lambda part: part(), parts)
+    height, rings = height - below, found[0] if rings == "search" else rings
+    drawn = with_near_rings(points, seen, rings, config)
+    gaps = Gaps.of(drawn, gap, torch.nonzero(height >= GROUND_HEIGHT).flatten())
+    return gaps, grow_ground(points, height, seen, gaps, config, _or_all(spacing < torch.inf))
+
+
+def _or_all(used: Tensor) -> Tensor | None:
+    return used if bool(used.any()) else None
+
+
+def with_near_rings(points: Tensor, seen: Directions, rings: Rings | None, config: ScanConfig) -> Tensor:
+    """Scales the elevations of points down, so that the step between two rings is a quarter of the gap's growth.
+
+    With few beams, two rings are farther apart than two objects side by side. After the scaling, one gap is large
+    enough to join rings and small enough to separate such objects. If the rings are already near enough, or unknown,
+    the points are returned unchanged.
+
+    Args:
+        points: [N, 3] metres, z up, the sensor at the origin.
+        seen: their directions.
+        rings: the rings of the scan; None: unknown.
+        config: gap_growth.
+    """
+    if rings is None or config.gap_growth >= RINGS_IN_GAP * rings.step:
+        return points
+    elevation = seen.elevation * (config.gap_growth / (RINGS_IN_GAP * rings.step))
+    flat = seen.range * elevation.cos()
+    x, y, z = flat * seen.azimuth.cos(), flat * seen.azimuth.sin(), seen.range * elevation.sin()
+    return torch.stack([x, y, z], dim=1).float()
 
 
 def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:

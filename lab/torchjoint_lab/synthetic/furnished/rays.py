@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from torchjoint.runtime.extras import needed_for
+from torchjoint.runtime.messages import needed_for
 from torchjoint_lab.synthetic.furnished.arrays import Array
 
 

@@ -1,18 +1,92 @@
-"""Step 7, method cuts: 3D labels split the segments of an image by minimum cuts (eq. 13-14)."""
+"""Step 7, method paper: moves points between segments by minimum cuts, and merges segments of an image."""
 
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.config import ImageGraphConfig, PaperConfig
-from torchjoint.labels.pixel_pairs import RADIUS, PixelPairs, pixel_pairs
-from torchjoint.ops.internal import segment_graphs
-from torchjoint.runtime.sorted_groups import starts_group
+from torchjoint.config import Config, ImageGraphConfig, PaperConfig
+from torchjoint.images.contours import smooth
+from torchjoint.labels.joint_ids import joint_labels, look_up
+from torchjoint.ops.internal import pair_counts, segment_graphs
+from torchjoint.runtime.groups import starts_group
+from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
+
+#: R, pixels: about the spacing of projected points in an image of 640 x 480. With a larger R it takes longer.
+RADIUS = 3.0
+
+
+class PixelPairs(NamedTuple):
+    """Counts of E^R, the pairs of visible points that are close in the image, by segments and 3D labels (eq. 7-9).
+
+    A pair is internal if its two 3D labels are equal, else external. Three kinds of pairs are not counted: internal
+    pairs inside one image segment (most pairs; the later steps do not need them), pairs within one pixel (no cut can
+    separate them), and pairs with a point outside all segments.
+    """
+
+    low_segment: Tensor  #: [G] int64, lower image segment of the two ends; groups are sorted by this, then by the next
+    high_segment: Tensor  #: [G] int64, higher image segment of the two ends
+    low_label: Tensor  #: [G] int64, lower 3D label of the two ends; its end may be in either segment
+    high_label: Tensor  #: [G] int64, higher 3D label of the two ends
+    num_pairs: Tensor  #: [G] int64, number of pairs in the group
+
+    def select(self, mask: Tensor) -> PixelPairs:
+        """The groups where `mask` [G] is True."""
+        return PixelPairs(*(values[mask] for values in self))
+
+
+def pixel_pairs(visible: Visible, segment: Tensor, point_labels: Tensor, width: int, radius: float) -> PixelPairs:
+    """Counts the pairs of visible points at most `radius` pixels apart (eq. 7-9).
+
+    Args:
+        visible: M visible points.
+        segment: [M] int64, image segment of each visible point, -1 = none.
+        point_labels: [M] int64, 3D label of each visible point.
+        width: width of the image, pixels.
+        radius: R, pixels.
+    """
+    pixel = visible.row * width + visible.column
+    group, num_pairs = pair_counts(visible.u, visible.v, pixel, segment, point_labels, radius)
+    return PixelPairs(group[0], group[1], group[2], group[3], num_pairs)
+
+
+def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, config: PaperConfig) -> Tensor:
+    """Merges image segments whose points mostly have the same 3D labels (eq. 10-12).
+
+    For two segments (unordered), n_R is the number of point pairs with one end in each segment, and n_int the number of
+    internal pairs among them. The two merge if n_R > 0 and n_int / n_R >= r_m. All pairs of segments are tested once,
+    on the segments as given.
+
+    Args:
+        labels: [H, W] int32, -1 = none (never merged).
+        visible: M visible points.
+        point_labels: [M] int64, 3D label of each visible point.
+        config: r_m.
+
+    Returns:
+        [H, W] int32; a merged segment has the lowest of its labels.
+    """
+    if config.merge_ratio is None:
+        return labels
+    segment = labels[visible.row, visible.column].long()
+    pairs = pixel_pairs(visible, segment, point_labels, labels.shape[1], RADIUS)
+    pairs = pairs.select(pairs.low_segment != pairs.high_segment)
+    if not pairs.num_pairs.numel():
+        return labels
+    num_labels = int(labels.max()) + 1
+    keys, of_key = torch.unique(pairs.low_segment * num_labels + pairs.high_segment, return_inverse=True)
+    internal = pairs.num_pairs * (pairs.low_label == pairs.high_label)
+    n_all, n_internal = (torch.zeros_like(keys).index_add(0, of_key, counts) for counts in (pairs.num_pairs, internal))
+    merging = keys[n_internal / n_all >= config.merge_ratio]
+    component = ops.connected_components(torch.stack([merging // num_labels, merging % num_labels]), num_labels)
+    lowest = torch.full((num_labels,), num_labels).scatter_reduce(0, component, torch.arange(num_labels), "amin")
+    return look_up(lowest[component].to(labels.dtype), labels, -1)
+
 
 #: Largest number of rounds. Each round cuts a segment, or a part of one, in two; so a segment gets at most 256 parts.
 MAX_SPLITS = 8
@@ -129,3 +203,23 @@ def _cut(
 def _slices(ptr: Tensor) -> list[slice]:
     """The slices between consecutive numbers of `ptr`."""
     return [slice(start, end) for start, end in pairwise(ptr.tolist())]
+
+
+def cut(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: Config) -> tuple[Tensor, int]:
+    """Refines an image as in the paper: merges and splits its segments (step 7), then labels them (step 8).
+
+    Args:
+        seen: the frame.
+        point_labels: [M] int64, 3D label of each visible point.
+        segment_sizes: [S] int64, number of points of each 3D segment.
+        config: stage paper, and the image graph.
+
+    Returns:
+        ([H, W] int32, the next free id); labels below S are 3D segments; pixels that are -1 in the initial labels
+        stay -1.
+    """
+    labels = merge_segments(seen.labels, seen.visible, point_labels, config.paper)
+    image, boundary = seen.image.float() / 255, seen.boundary.float() / 255
+    colors = smooth(image[None], config.image_graph.smoothing)[0]
+    labels = split_segments(labels, colors, boundary, seen.visible, point_labels, config.paper, config.image_graph)
+    return joint_labels(labels, seen.visible, point_labels, segment_sizes, segment_sizes.shape[0])

@@ -1,14 +1,39 @@
-"""The text that is printed after a result is written."""
+"""What a command says about its run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from torchjoint.results.folder import read_record
 from torchjoint.results.mask_report import count_masks
-from torchjoint.runtime.messages import say
+from torchjoint.runtime.messages import on_terminal, say
 from torchjoint.scene import Segmentation
+
+
+class _Formatter(logging.Formatter):
+    """Messages may have names of others."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return on_terminal(super().format(record))
+
+
+@contextmanager
+def printed_log() -> Iterator[None]:
+    """Inside the block, log messages of the package are printed to stderr as ``torchjoint: ...``."""
+    logger, handler = logging.getLogger("torchjoint"), logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_Formatter("torchjoint: %(message)s"))
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
 
 
 def summarize(result: Segmentation, out: Path) -> None:

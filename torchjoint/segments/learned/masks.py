@@ -1,0 +1,311 @@
+"""Step 6, method learned: what masks of networks say: they cut pieces, merge them, and move them to their majority."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchjoint import ops
+from torchjoint.ops.internal import mask_merges
+from torchjoint.runtime.groups import find, first_places, members_of_groups
+from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene import Hierarchy
+from torchjoint.segments.learned.piece_graph import MaskCounts, masks_of_pieces
+from torchjoint.segments.learned.region_statistics import sum_by
+from torchjoint.segments.learned.small_regions import MIN_SIZE
+from torchjoint.views.observations import Observation
+
+# These numbers were chosen on generated rooms, table-tops, shelves and kitchens with perfect, SAM-like and hard masks.
+# None of these scenes is used for scores.
+
+#: Weight of a vote of two points in different masks; two points in one mask have weight 1. Networks split objects more
+#: often than they join them.
+APART_WEIGHT = 0.6
+#: Weight of the model's probability, in frames that see both regions completely: the smallest one, the one of the first
+#: merging, and the factor on the masks' noise, which is the share of votes against the regions of the first merging.
+LEAST_PRIOR_WEIGHT, FIRST_PRIOR_WEIGHT, PRIOR_WEIGHT_OF_NOISE = 0.05, 0.1, 2.0
+#: A mask contains a region if at least this many of the region's points lie in it. Fewer are mostly seen through a gap.
+MIN_POINTS = 3
+#: A mask confirms a region if their overlap (intersection over union of visible points) is at least this.
+CONFIRMED = 0.5
+
+
+@dataclass(frozen=True)
+class MaskLinkage:
+    """Merges regions by masks.
+
+    Attributes:
+        masks: counts of the points of each piece in each mask.
+        size: [P] int64, points of each piece.
+        prior_weight: weight of the model's probability, in frames.
+        keeps_outlines: whether what a mask confirms stays apart from what another mask confirms, and from what most
+            views show without a mask: "no mask" beside a mask says that its thing ends there.
+    """
+
+    masks: MaskCounts
+    size: Tensor
+    prior_weight: float = FIRST_PRIOR_WEIGHT
+    keeps_outlines: bool = False
+
+    @classmethod
+    def of(cls, masks: MaskCounts | None, size: Tensor) -> MaskLinkage | None:
+        """The linkage of pieces with sizes [P]; None if there are no masks."""
+        return None if masks is None else cls(masks, size.long())
+
+    def merges(self, of_piece: Tensor, ends: Tensor, cost: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
+        """As :func:`torchjoint.ops.region_dendrogram`, with masks.
+
+        Args:
+            of_piece: [P] int64, region of each piece, 0 ... R - 1.
+            ends: [2, C] int64, regions at the two ends of each edge.
+            cost: [C] float32, the model's probability that the ends belong to different objects.
+            threshold: largest cost of two regions that merge.
+        """
+        if self.keeps_outlines:
+            confirmed = self.confirmed(of_piece)
+            apart = (confirmed[ends] & (confirmed | self._without_masks(of_piece))[ends.flip(0)]).any(0)
+            ends, cost = ends[:, ~apart], cost[~apart]
+        return mask_merges(ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
+
+    def far_pairs(self, of_piece: Tensor) -> Tensor:
+        """Pairs of regions that lie in one mask, whether or not they touch: [2, B] int64, a < b, ascending."""
+        num_regions = int(of_piece.max()) + 1
+        region, mask, count = self.masks.of_regions(of_piece)[0]
+        region, mask = region[count >= MIN_POINTS], mask[count >= MIN_POINTS]
+        order = torch.argsort(mask, stable=True)
+        region, mask = region[order], mask[order]
+        # Each row meets all rows of its mask.
+        first, second = members_of_groups(torch.bincount(mask, minlength=len(self.masks.weight)), mask)
+        one, other = region[first], region[second]
+        key = torch.unique((one * num_regions + other)[one < other])
+        return torch.stack([key // num_regions, key % num_regions])
+
+    def crumbs(self, of_piece: Tensor, ends: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
+        """The merges with a neighbour of small regions in masks, unless a mask confirms them; arguments as `merges`.
+
+        Regions that most views show without a mask stay.
+        """
+        stays = self.confirmed(of_piece) | self._without_masks(of_piece)
+        return mask_merges(
+            ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE
+        )
+
+    def confirmed(self, of_piece: Tensor) -> Tensor:
+        """Whether a mask confirms each region, [R] bool."""
+        size, in_mask, in_frame, *_ = self._tables(of_piece)
+        best = torch.zeros(len(size), dtype=torch.float64)
+        best.scatter_reduce_(0, in_mask[0], overlaps(self.masks, in_mask, in_frame), "amax")
+        return best >= CONFIRMED
+
+    def _without_masks(self, of_piece: Tensor) -> Tensor:
+        """Whether most views show a region without a mask, [R] bool."""
+        size, in_mask, in_frame, *_ = self._tables(of_piece)
+        in_masks, in_view = (sum_by(table[0], table[2], len(size)) for table in (in_mask, in_frame))
+        return 2 * in_masks < in_view
+
+    def _tables(self, of_piece: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        size = sum_by(of_piece, self.size, int(of_piece.max()) + 1)
+        return size, *self.masks.of_regions(of_piece), self.masks.weight, self.masks.frame_of_mask
+
+    def calibrated(self, of_piece: Tensor) -> MaskLinkage:
+        """A copy whose prior weight grows with the share of votes against the given regions.
+
+        Args:
+            of_piece: [P] int64, regions that were merged by these masks.
+        """
+        size, in_mask, in_frame, *_ = self._tables(of_piece)
+        share = shares_against(self.masks, in_mask, in_frame, len(size))
+        size = size[~share.isnan()]
+        noise = float((share[~share.isnan()] * size).sum() / size.sum()) if len(size) else 0.0
+        return replace(self, prior_weight=max(LEAST_PRIOR_WEIGHT, PRIOR_WEIGHT_OF_NOISE * noise))
+
+
+def shares_against(masks: MaskCounts, in_mask: Tensor, in_frame: Tensor, num_regions: int) -> Tensor:
+    """The share of the votes inside each region that are against one object: [R] float64, NaN without votes.
+
+    Arguments as those of :func:`overlaps`.
+    """
+    region, mask, count = in_mask
+    weight = masks.weight[mask]  # whole numbers: sums in any order are the same
+    together = sum_by(region, weight * count * count, num_regions)
+    total = sum_by(region, weight * count * _seen_with(masks, in_mask, in_frame), num_regions)
+    return 1 - together.double() / total  # 0 / 0 is NaN
+
+
+def overlaps(masks: MaskCounts, in_mask: Tensor, in_frame: Tensor) -> Tensor:
+    """The overlap (intersection over union) of each row (region, mask, points), in points that the frame sees.
+
+    Args:
+        masks: the masks.
+        in_mask: [3, K] int64, and
+        in_frame: [3, J] int64, as :meth:`MaskCounts.of_regions` gives them.
+
+    Returns:
+        [K] float64.
+    """
+    _, mask, count = in_mask
+    in_whole_mask = sum_by(mask, count, len(masks.weight))[mask]
+    return count.double() / (_seen_with(masks, in_mask, in_frame) + in_whole_mask - count)
+
+
+def _seen_with(masks: MaskCounts, in_mask: Tensor, in_frame: Tensor) -> Tensor:
+    """For each row (region, mask, points): how many points of the region the mask's frame sees."""
+    region, mask, _ = in_mask
+    num_frames = int(masks.frame_of_mask.max()) + 1 if len(masks.frame_of_mask) else 1
+    view, order = (in_frame[0] * num_frames + in_frame[1]).sort()
+    place, _ = find(view, region * num_frames + masks.frame_of_mask[mask])
+    return in_frame[2][order][place]
+
+
+# These numbers were chosen on generated rooms, table-tops and shelves with perfect, SAM-like and hard masks. None of
+# these scenes is used for scores.
+
+#: A piece is cut if more than this share of the votes of its pairs of points is against one object.
+MIXED = 0.1
+#: Weight, in frames, of the assumption that the points of one piece belong together.
+PRIOR_WEIGHT = 0.1
+#: Largest cost of two parts that merge again.
+THRESHOLD = 0.5
+#: Largest number of frames per piece: those that see most of it. All frames of all points would take gigabytes.
+MAX_FRAMES = 32
+
+
+def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Observation]) -> Tensor:
+    """Cuts the pieces whose points lie in different masks.
+
+    The points of such a piece merge again from single points, as regions do
+    (:func:`torchjoint.ops.internal.mask_merges`). So a piece is cut only where the masks of most frames agree; single
+    wrong outlines do not cut.
+
+    Args:
+        piece: [N] int64, 0 ... P - 1.
+        edge_index: [2, E] int64, edges of the point graph.
+        observations: the frames; those without masks do not count.
+
+    Returns:
+        [N] int64 pieces, numbered by first appearance; each lies inside one of the given pieces.
+    """
+    masks = masks_of_pieces(piece, observations)
+    if masks is None:
+        return piece
+    num_pieces = int(piece.max()) + 1
+    is_mixed = shares_against(masks, masks.in_mask, masks.in_frame, num_pieces) > MIXED
+    single = is_mixed[piece]
+    # The points of mixed pieces are regions of their own; each other piece is one region, named by its first point.
+    first = first_places(piece, num_pieces)[piece]
+    region = torch.unique(torch.where(single, torch.arange(len(piece)), first), return_inverse=True)[1]
+    i, j = edge_index
+    ends = region[edge_index[:, single[i] & (piece[i] == piece[j])]]
+    counts = _frames_that_see_most(masks.in_frame, num_pieces, len(observations))
+    of_points = masks_of_pieces(region, observations, lambda frame, point: counts[frame, piece[point]])
+    joined = _merges_of_parts(ends, torch.bincount(region), of_points)
+    return ops.connected_components(joined, int(region.max()) + 1)[region]
+
+
+def _frames_that_see_most(in_frame: Tensor, num_pieces: int, num_frames: int) -> Tensor:
+    """The MAX_FRAMES frames that see most points of each piece; ties: the first frames. [F, P] bool."""
+    piece, frame, num_points = in_frame[:, torch.argsort(in_frame[1], stable=True)]
+    order = torch.argsort(num_points, descending=True, stable=True)
+    order = order[torch.argsort(piece[order], stable=True)]
+    count = torch.bincount(piece, minlength=num_pieces)
+    rank = torch.arange(len(order)) - (count.cumsum(0) - count)[piece[order]]
+    chosen = order[rank < MAX_FRAMES]
+    most = torch.zeros(num_frames, num_pieces, dtype=torch.bool)
+    most[frame[chosen], piece[chosen]] = True
+    return most
+
+
+def _merges_of_parts(edge_index: Tensor, size: Tensor, masks: MaskCounts | None) -> Tensor:
+    """The merges [2, M] of regions that the masks do not separate; `size` [R] is their number of points."""
+    assert masks is not None  # the observations have masks
+    tables = masks.of_regions(torch.arange(len(size)))
+    prior = torch.zeros(edge_index.shape[1], dtype=torch.float32)
+    return mask_merges(
+        edge_index, prior, size, *tables, masks.weight, masks.frame_of_mask, APART_WEIGHT, PRIOR_WEIGHT, THRESHOLD
+    )[0]
+
+
+#: Number of frames whose points are held in memory at a time.
+BATCH = 32
+
+
+def move_to_majority(
+    hierarchy: Hierarchy, edge_index: Tensor, masks: MaskCounts, observations: Sequence[Observation]
+) -> Hierarchy:
+    """Moves points to the regions of the masks in which most frames see them.
+
+    Each mask belongs to the region of the default level with which it overlaps best. A point moves if more than half of
+    the frames with masks that see it show it in masks of one other region, and if it has a neighbour in that region.
+    It joins the piece of this neighbour; if there are several, the one with the lowest number counts. So all levels
+    stay nested. No piece loses all its points.
+
+    Args:
+        hierarchy: the pieces and their merges.
+        edge_index: [2, E] int64, edges of the point graph.
+        masks: the masks in which the pieces lie.
+        observations: the frames from which `masks` was made.
+    """
+    of_piece = hierarchy.segments_of_pieces(hierarchy.default)
+    region = of_piece[hierarchy.piece]
+    wanted = _wanted_regions(region, _best_regions(masks, of_piece), observations)
+    ends = torch.cat([edge_index, edge_index.flip(0)], 1)
+    one, other = ends[:, (wanted[ends[0]] >= 0) & (wanted[ends[0]] == region[ends[1]])]
+    num_points = len(region)
+    source = torch.full((num_points,), num_points).scatter_reduce_(0, one, other, "amin")
+    stays = torch.arange(num_points)
+    source = torch.where(source < num_points, source, stays)
+    # If points stay to keep their piece, another piece that would have received them may be lost: test again.
+    while (is_lost := torch.bincount(hierarchy.piece[source], minlength=hierarchy.num_pieces) == 0).any():
+        source = torch.where(is_lost[hierarchy.piece], stays, source)
+    return hierarchy.transferred(source)[0]
+
+
+def _wanted_regions(region: Tensor, region_of_mask: Tensor, observations: Sequence[Observation]) -> Tensor:
+    """For each point, another region in whose masks more than half of its frames show it: [N] int64, -1 = none.
+
+    Args:
+        region: [N] int64, region of each point, 0 ... R - 1.
+        region_of_mask: [M] int64, -1 = none; the masks are numbered frame by frame.
+        observations: the frames; those without masks do not count.
+    """
+    num_regions = int(region.max()) + 1
+    views, first = torch.zeros_like(region), 0
+    votes = [torch.empty(0, dtype=torch.int64)]
+    for start in range(0, len(observations), BATCH):
+        for point, mask, num_masks in parallel_map(_smallest_masks, observations[start : start + BATCH]):
+            views[point] += 1
+            point, chosen = point[mask >= 0], region_of_mask[first + mask[mask >= 0]]
+            elsewhere = (chosen >= 0) & (chosen != region[point])
+            votes.append(point[elsewhere] * num_regions + chosen[elsewhere])
+            first += num_masks
+    key, count = torch.unique(torch.cat(votes), return_counts=True)
+    most = 2 * count > views[key // num_regions]  # so at most one region per point
+    wanted = torch.full_like(region, -1)
+    wanted[key[most] // num_regions] = key[most] % num_regions
+    return wanted
+
+
+def _smallest_masks(seen: Observation) -> tuple[Tensor, Tensor, int]:
+    """The visible points [V], the smallest mask in which each lies, -1 = none, and the number of masks of the frame."""
+    if seen.masks is None:
+        nothing = torch.empty(0, dtype=torch.int64)
+        return nothing, nothing, 0
+    smallest = seen.masks.smallest(torch.ones(len(seen.masks), dtype=torch.bool))
+    visible = seen.visible
+    return visible.point, smallest[seen.masks.atom[visible.row, visible.column].long()], len(seen.masks)
+
+
+def _best_regions(masks: MaskCounts, of_piece: Tensor) -> Tensor:
+    """The region that overlaps best with each mask, of several the lowest: [M] int64, -1 = none."""
+    in_mask, in_frame = masks.of_regions(of_piece)
+    region, mask, _ = in_mask
+    overlap, num_masks = overlaps(masks, in_mask, in_frame), len(masks.weight)
+    largest = torch.zeros(num_masks, dtype=torch.float64).scatter_reduce_(0, mask, overlap, "amax")
+    is_largest = overlap == largest[mask]
+    none = int(of_piece.max()) + 1
+    best = torch.full((num_masks,), none).scatter_reduce_(0, mask[is_largest], region[is_largest], "amin")
+    return torch.where(best < none, best, -1)
