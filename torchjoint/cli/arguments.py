@@ -66,11 +66,7 @@ Out = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 
 
 def read_topics(assignments: Iterable[str]) -> tuple[tuple[str, str], ...]:
-    """Roles and topics of ``role=/topic``, as :class:`~torchjoint.recordings.RecordingOptions` has them.
-
-    Raises:
-        ValueError: an assignment has another form.
-    """
+    """Roles and topics of ``role=/topic``, as :class:`~torchjoint.recordings.RecordingOptions` has them."""
     parts = {assignment: assignment.partition("=") for assignment in assignments}
     for assignment, (role, _, topic) in parts.items():
         if not (role and topic):
@@ -81,12 +77,7 @@ def read_topics(assignments: Iterable[str]) -> tuple[tuple[str, str], ...]:
 def check_output(
     out: Path, names: Iterable[str], overwrite: bool, inputs: Sequence[Path | None] = ()
 ) -> dict[str, Output]:
-    """Checks that files with these names may be written into folder `out`; returns what writes each of them.
-
-    Raises:
-        FileExistsError: `out` is not a folder, or it holds one of the files and `overwrite` is False.
-        ValueError: one of the files is an input.
-    """
+    """Checks that files with these names may be written into folder `out`; returns what writes each of them."""
     if out.exists() and not out.is_dir():
         raise FileExistsError(f"-o: {out} exists and is not a folder")
     files = [path for path in inputs if path is not None and path.is_file()]  # scores may lie in a result's folder
@@ -107,13 +98,7 @@ def output_file(out: Path, overwrite: bool, inputs: Sequence[Path | None], optio
 
 
 def output_files_in(out: Path, kinds: tuple[str, ...], overwrite: bool, inputs: Sequence[Path | None]) -> Output:
-    """Checks that a folder of files with the suffixes `kinds` may be written; returns what writes it.
-
-    Raises:
-        FileExistsError: there is an earlier one, which holds more than such files and folders of them.
-        ValueError: `out` has the name of a file.
-        As :func:`output_file`.
-    """
+    """Checks that a folder of files with the suffixes `kinds` may be written; returns what writes it."""
     if out.suffix.lower() in (*kinds, *SUFFIXES) and not out.is_dir():
         raise ValueError(f"-o: expected a folder, for {', '.join(kinds)} files, got the name of a file, {out.name}")
     _check_parent(out, "-o")

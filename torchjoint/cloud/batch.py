@@ -26,9 +26,6 @@ def split_batch(
 
     Returns:
         the B clouds, in order.
-
-    Raises:
-        ValueError, TypeError: naming the argument, what was expected and what came.
     """
     num_points = len(batch.points)
     starts = _checked_ptr(ptr, num_points)
@@ -67,9 +64,6 @@ def without_invalid(
 
     Returns:
         which points are kept, [N] bool; and all arguments, in order, without the others.
-
-    Raises:
-        ValueError, TypeError: naming the argument, what was expected and what came.
     """
     if not isinstance(points, Tensor):
         raise TypeError(f"points: expected a torch.Tensor, got {type(points).__name__}")

@@ -64,9 +64,6 @@ def geometric_weights(
 
     Returns:
         [E] float32.
-
-    Raises:
-        ValueError: weights.color > 0, but the cloud has no colours.
     """
     if weights.color > 0 and colors is None:
         raise ValueError("colors: color_weight > 0 needs the colours of the points, got none")

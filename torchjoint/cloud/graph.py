@@ -154,9 +154,6 @@ def undirected_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
 
     Returns:
         [2, E] int64, in the order of their first occurrence in the rows of `neighbors`.
-
-    Raises:
-        ValueError: a number outside [0, N).
     """
     with all_threads():
         return ops.neighbor_edges(neighbors, order)

@@ -55,11 +55,7 @@ def parameter(
 
 @dataclass(frozen=True)
 class Stage:
-    """Base class of the stages: checks every parameter against its declaration when the object is made.
-
-    Raises:
-        ValueError, TypeError: a value out of range or of the wrong type; the message names stage and parameter.
-    """
+    """Base class of the stages: checks every parameter against its declaration when the object is made."""
 
     def __post_init__(self) -> None:
         kinds = get_type_hints(type(self))  # types, even if the annotations are stored as text
@@ -73,11 +69,7 @@ class Stage:
         return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__.removesuffix("Config")).lower()
 
     def replace(self, values: Mapping[str, Any]) -> Self:
-        """A copy with some parameters replaced, by name.
-
-        Raises:
-            ValueError, TypeError: an unknown name, or a bad value.
-        """
+        """A copy with some parameters replaced, by name."""
         names = [spec.name for spec in dataclasses.fields(self)]
         for name in values:
             if name not in names:

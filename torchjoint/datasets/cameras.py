@@ -70,10 +70,6 @@ class Camera:
             world_to_camera: [4, 4].
             depth: [h, w] float32 metres, of the same view at any resolution; 0 = unknown.
             name: of the frame.
-
-        Raises:
-            ValueError: image or depth has another aspect ratio than the camera, or the distortion cannot be
-                inverted.
         """
         size = (image.shape[1], image.shape[2])
         called = f"image {name!r} of {self.name}"
@@ -98,9 +94,6 @@ def scale_intrinsics(intrinsics: Tensor, old: tuple[int, int], new: tuple[int, i
     """Returns intrinsics [3, 3] for images that were resized from (H, W) `old` to `new`.
 
     Resizing maps image corners to image corners; with integer pixel centres the corners are at -1/2 and W - 1/2.
-
-    Raises:
-        ValueError: the aspect ratios differ by more than rounding to whole pixels explains.
     """
     _check_same_shape(old, new, name)
     scale = torch.tensor([new[1] / old[1], new[0] / old[0], 1.0], dtype=torch.float64)
@@ -118,11 +111,7 @@ def resize_depth(depth: Tensor, size: tuple[int, int], name: str = "") -> Tensor
 
 
 def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:
-    """Converts unit quaternions [N, 4], x y z w (Hamilton convention), to N rotations.
-
-    Raises:
-        ValueError: a quaternion's length is not 1.
-    """
+    """Converts unit quaternions [N, 4], x y z w (Hamilton convention), to N rotations."""
     from scipy.spatial.transform import Rotation
 
     lengths = np.linalg.norm(quaternions.clip(-2, 2), axis=1)  # clipped: squares of invalid numbers may overflow
@@ -255,9 +244,6 @@ def register_depth(depth: Tensor, depth_intrinsics: Tensor, intrinsics: Tensor, 
 
     Returns:
         [H, W] metres; 0 also outside of the depth image.
-
-    Raises:
-        ValueError: intrinsics with skew.
     """
     if depth_intrinsics[0, 1] != 0 or intrinsics[0, 1] != 0:
         raise ValueError("intrinsics: expected cameras without skew")
@@ -297,9 +283,6 @@ def interpolate_poses(
     Returns:
         T poses [4, 4] float64, with the direction of the rows (such as camera-to-world); None where no pose is near
             enough in time.
-
-    Raises:
-        ValueError: a quaternion's length is not 1.
     """
     from scipy.spatial.transform import Slerp
 

@@ -112,11 +112,7 @@ def surface_cloud(volume: Volume, origin: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def check_unit(frames: Sequence[Frame]) -> None:
-    """Checks some depth images before all are fused, which takes long.
-
-    Raises:
-        ValueError: none has a pixel at a distance that is fused; the message has the likely unit.
-    """
+    """Checks some depth images before all are fused, which takes long."""
     chosen = (frames[index] for index in evenly_spaced_indices(len(frames), CHECKED))
     images = [frame.depth for frame in chosen if frame.depth is not None]
     if not images or any(((image > NEAR) & (image < FAR)).any() for image in images):

@@ -43,11 +43,7 @@ class Options:
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
-    """Makes a scene from a folder's frames, with the cloud of :func:`find_cloud`, or else with a fused cloud.
-
-    Raises:
-        ValueError: there is no cloud, and no depth to fuse a cloud from.
-    """
+    """Makes a scene from a folder's frames, with the cloud of :func:`find_cloud`, or else with a fused cloud."""
     file = find_cloud(path, options, clouds)
     if file is not None:
         cloud = read_cloud_file(file, invalid=options.invalid, least_opacity=options.least_opacity)

@@ -62,9 +62,6 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
             the colour camera's view. They apply either to the sensor's resolution, which the files do not give, or to
             the images, if the calibration was scaled with them.
         info: ScanNet's SCAN.txt, which gives the sensor's calibration and resolution, but less exactly.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
     """
     color = folder / "intrinsic" / "intrinsic_color.txt"
     if has_file(color):

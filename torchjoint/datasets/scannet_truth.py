@@ -27,11 +27,7 @@ def has_point_instances(folder: Path, scan: str) -> bool:
 
 
 def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
-    """Reads [N] int64, the objectId of each vertex of `SCAN_vh_clean_2.ply`; -1 = none.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
-    """
+    """Reads [N] int64, the objectId of each vertex of `SCAN_vh_clean_2.ply`; -1 = none."""
     return point_instances(folder / f"{scan}{SEGMENTS}", folder / f"{scan}{OBJECTS}", num_points)
 
 
@@ -51,9 +47,6 @@ def point_instances(
         num_points: of the mesh.
         smallest: a vertex of several objects belongs to the one of fewest vertices; else to the last in the file.
         among: the objectIds of the objects that are there; None: all.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
     """
     record = read_record(segments_file, "segments of a mesh")
     segments = record.integers("segIndices")
@@ -74,11 +67,7 @@ def point_instances(
 
 
 def read_object_classes(objects_file: Path) -> dict[int, str]:
-    """Reads the raw category of each annotated object, by its objectId.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
-    """
+    """Reads the raw category of each annotated object, by its objectId."""
     groups = read_record(objects_file, "segments of objects").records("segGroups")
     return {_object_id(group): group.text("label") for group in groups}
 
@@ -87,10 +76,6 @@ def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Seq
     """Returns label images of the frames, [H, W] int64 of the image's size, ids as for points, -1 = none; lazy.
 
     The labels are in `instance-filt/N.png`, or in `SCAN_2d-instance-filt.zip` as downloaded; empty if neither exists.
-
-    Raises:
-        FileNotFoundError: only some frames have labels.
-        ValueError: a damaged archive.
     """
     names = frames.names
     read = _folder_reader(folder / "instance-filt", names) or _archive_reader(

@@ -60,10 +60,6 @@ class Volume:
 
         Returns:
             the keys of the blocks that it sees, int64, ascending.
-
-        Raises:
-            ValueError: the volume becomes too large, or a point is too far from the origin.
-            OSError: the temporary file cannot be written.
         """
         key = self._blocks_near(depth, intrinsics, world_to_camera)
         self._add(key)
@@ -79,11 +75,7 @@ class Volume:
         return {"key": self._key.clone(), "sums": self._sums[self._row]}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Takes the :meth:`state` of another volume with voxels of the same size.
-
-        Raises:
-            ValueError: it is none.
-        """
+        """Takes the :meth:`state` of another volume with voxels of the same size."""
         key, sums = state["key"], state["sums"]
         is_key = key.dtype == torch.int64 and key.ndim == 1 and bool((key >= 0).all() & (key.diff() > 0).all())
         if not is_key or sums.dtype != torch.int32 or sums.shape != (len(key), SIDE**3, CHANNELS):

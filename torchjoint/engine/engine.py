@@ -85,11 +85,7 @@ class Engine(abc.ABC):
         """Why a worker died; None if the error is of another kind."""
 
     def _reconnect(self) -> None:
-        """Connects again, and ends all futures. Called if the connection was lost, which cancels futures.
-
-        Raises:
-            ConnectionError: the engine cannot connect again.
-        """
+        """Connects again, and ends all futures. Called if the connection was lost, which cancels futures."""
         raise ConnectionError(f"engine {self.name}: the connection was cut")
 
     @abc.abstractmethod
@@ -108,9 +104,6 @@ class Engine(abc.ABC):
         Function, tasks, `shared` and values are pickled (with cloudpickle, so functions may be local). `shared` is sent
         once to each worker, not once for each task; a task must not change it. At a time, only as many tasks are
         submitted as there are workers. A task whose worker dies runs once more.
-
-        Raises:
-            ConnectionError: the engine cannot be reached any more. Outcomes that were yielded stay valid.
         """
         waiting: deque[_Task[T]] = deque()
         source = (_Task(index, item) for index, item in enumerate(tasks))

@@ -25,11 +25,6 @@ def open_engine(engine: str | Engine = "loky", threads: int = 1) -> Iterator[Eng
             four workers, or fewer if there are fewer cores. ``dask://HOST:PORT``: a running scheduler.
             ``ray://HOST:PORT``: a running cluster. An :class:`Engine` is used as it is, and stays open.
         threads: threads of each task.
-
-    Raises:
-        ValueError, TypeError: an unknown engine, or more threads than cores.
-        ModuleNotFoundError: the engine is not installed; the message says how.
-        ConnectionError: there is no cluster at the address, or it has no workers.
     """
     if isinstance(engine, Engine):
         yield engine

@@ -73,10 +73,6 @@ def make_boundary(config: BoundaryConfig, allow_import: bool = False) -> nn.Modu
     Args:
         config: its name and parameters.
         allow_import: whether it may be code of the user. A config may come from a stranger, as that of a result.
-
-    Raises:
-        ValueError: the user's module may not be imported, cannot be imported or made without arguments, or is no
-            :class:`torch.nn.Module`.
     """
     if config.detector == "gradient":
         return GradientBoundary()

@@ -37,9 +37,6 @@ def suppress_non_maxima(boundary: Tensor) -> Tensor:
     Returns:
         [H, W] float32, the input's value or 0.
 
-    Raises:
-        ValueError: a shape other than [H, W].
-
     >>> suppress_non_maxima(torch.tensor([[0.0, 0.2, 0.9, 0.3, 0.0]]).repeat(3, 1))
     tensor([[0.0000, 0.0000, 0.9000, 0.0000, 0.0000],
             [0.0000, 0.0000, 0.9000, 0.0000, 0.0000],
@@ -115,9 +112,6 @@ def close_contours(boundaries: Tensor, smoothing: float = SMOOTHING, exponent: f
 
     Returns:
         [B, H, W] float32 in [0, 1]. The result of an image does not depend on the other images, bit for bit.
-
-    Raises:
-        ValueError: a shape other than [B, H, W], or values out of range.
     """
     if boundaries.ndim != 3:
         raise ValueError(f"boundaries: expected shape [B, H, W], got {list(boundaries.shape)}")

@@ -52,11 +52,7 @@ LISTS = ("childs", "featureIds", "thresholds", "edgeBoundaries", "edgeBins")
 
 @dataclass(frozen=True)
 class Forest:
-    """T structured trees, all padded to N nodes.
-
-    Raises:
-        ValueError: arrays of different shapes, or values out of range.
-    """
+    """T structured trees, all padded to N nodes."""
 
     #: [T, N] int32, 0 at a leaf, else 1 + the left child's index in the tree; the right child follows
     children: NDArray[np.int32]
@@ -190,10 +186,6 @@ class StructuredForestBoundary(nn.Module):
             more accurate and about five times slower.
         nms: apply non-maximum suppression, which leaves lines about one pixel wide.
         stride: distance between the sites at which trees vote, 2 or 4 pixels; 4 is faster and less accurate.
-
-    Raises:
-        FileNotFoundError: the model's file is missing.
-        ValueError: the file is incomplete or is no structured forest; or `scales` or `stride` is out of range.
     """
 
     def __init__(

@@ -56,9 +56,6 @@ def segment_image(image: Tensor, boundary: Tensor, graph: ImageGraphConfig, segm
 
     Returns:
         [H, W] int64 labels, the same as :func:`torchjoint.ops.felzenszwalb` on grid_edges with pixel_weights.
-
-    Raises:
-        ValueError: a wrong shape, or a value that is not finite.
     """
     return ops.felzenszwalb_image(
         smooth(image[None], graph.smoothing),

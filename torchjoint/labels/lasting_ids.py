@@ -79,11 +79,7 @@ class LastingIds:
         return {"cube": self._cube, "id": self._id, "next": self._next}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Goes on with the ids of another object.
-
-        Raises:
-            ValueError: they are none.
-        """
+        """Goes on with the ids of another object."""
         cube, ids, after = state["cube"], state["id"], state["next"]
         whole = all(one.dtype == torch.int64 and one.shape == (len(ids),) for one in (cube, ids))
         if not whole or type(after) is not int or not 0 <= after < 1 << 62 or bool((cube.diff() <= 0).any()):

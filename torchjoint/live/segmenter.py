@@ -93,11 +93,7 @@ class Keyframe(NamedTuple):
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Keyframe:
-        """The inverse of :meth:`to_dict`, for values of a file.
-
-        Raises:
-            TypeError, ValueError, LookupError: they are no keyframe; the message names what is wrong.
-        """
+        """The inverse of :meth:`to_dict`, for values of a file."""
         packed = {name: Packed.from_dict(values[name]) for name in _PACKED if values[name] is not None}
         masks = None if values["masks"] is None else Masks(**values["masks"])
         keyframe = cls(**{**values, **packed, "masks": masks})

@@ -29,12 +29,7 @@ def as_tensor(values: Any, name: str) -> Tensor:
 
 
 def as_binary(values: Any, name: str) -> Tensor:
-    """Converts booleans, numbers 0 and 1, or uint8 numbers 0 and 255 to a bool tensor.
-
-    Raises:
-        TypeError: as :func:`as_tensor`.
-        ValueError: other numbers, such as logits, probabilities or labels.
-    """
+    """Converts booleans, numbers 0 and 1, or uint8 numbers 0 and 255 to a bool tensor."""
     tensor = as_tensor(values, name)
     if tensor.dtype == torch.bool:
         return tensor

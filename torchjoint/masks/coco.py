@@ -55,11 +55,7 @@ def _score(annotation: Mapping[str, Any], name: str) -> float:
 
 
 class CocoFile:
-    """The masks of a COCO data set (`images` and `annotations`). A name is the stem of an image's file name.
-
-    Raises:
-        ValueError: the file is not a JSON file of this form.
-    """
+    """The masks of a COCO data set (`images` and `annotations`). A name is the stem of an image's file name."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -85,11 +81,7 @@ class CocoFile:
         return sorted(self._images)
 
     def read(self, name: str) -> Masks:
-        """The masks of an image.
-
-        Raises:
-            ValueError: a damaged annotation; the message names file, image and annotation.
-        """
+        """The masks of an image."""
         image = self._images[name]
         with damage_is(f"{self._path}, image {name!r}"):
             size = int(image["height"]), int(image["width"])

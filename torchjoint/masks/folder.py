@@ -206,9 +206,6 @@ def check_files(folder: Path | str) -> None:
 
     Args:
         folder: as in :func:`read_folder`.
-
-    Raises:
-        FileNotFoundError, ValueError: as in :func:`read_folder`; ValueError also for the first damaged file.
     """
 
     def check(reader: Callable[[], Masks]) -> None:

@@ -74,11 +74,7 @@ def _corners(polygons: Sequence[Any], name: str) -> Iterator[npt.NDArray[np.floa
 
 
 def check_declared(segmentations: Iterable[Any], size: Size | None, name: str) -> None:
-    """Checks how much work all run lengths and polygons of an image declare, before any of them is unpacked.
-
-    Raises:
-        ValueError, TypeError: too much, or as :func:`pixels_of`.
-    """
+    """Checks how much work all run lengths and polygons of an image declare, before any of them is unpacked."""
     inside = around = rows = 0
     for index, one in enumerate(segmentations):
         if isinstance(one, Mapping):
@@ -102,9 +98,6 @@ def merged(masks: Iterable[Pixels], count: int, size: Size | None, scores: Tenso
         size: (H, W) of the image; required if there are no masks.
         scores: [count].
         name: name of the masks in messages.
-
-    Raises:
-        ValueError: the sizes differ, or there is no mask and no size, or the masks are too large together.
     """
     bounds.check(count, bounds.MASKS, "masks", name)
     rest = iter(masks)

@@ -31,9 +31,6 @@ def intersect(pred: Tensor | Sequence[Tensor], target: Tensor) -> tuple[Intersec
 
     Returns:
         the table, and the labels [K] of the K instances, ascending; None if `pred` is not labels.
-
-    Raises:
-        TypeError, ValueError: naming the argument, the expected and the actual value.
     """
     column = renumber_by_value(target.flatten())[1] + 1
     column_area = torch.bincount(column, minlength=1)

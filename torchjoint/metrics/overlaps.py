@@ -84,11 +84,7 @@ class Overlaps:
 
 @on_cpu()
 def overlap_tables(pred: Tensor, target: Tensor | Sequence[Tensor]) -> tuple[Tensor, list[Overlaps]]:
-    """Returns the predicted regions' areas [P] and one table per ground truth, all with the same P.
-
-    Raises:
-        TypeError, ValueError: as :func:`torchjoint.metrics.overlaps.checked_pair`.
-    """
+    """Returns the predicted regions' areas [P] and one table per ground truth, all with the same P."""
     pred, targets = checked_pair(pred, target)
     labelled = torch.stack([one >= 0 for one in targets]).any(0)
     regions, num_pred = _by_first_appearance(pred[labelled])

@@ -21,10 +21,6 @@ def call(kernel: Any, *arguments: Any) -> Any:
     Kernels throw C++ exceptions of the standard library. Up to version 2.14, torch translates them to ValueError and
     MemoryError. From 2.15 on, torch translates them to RuntimeError, which this function converts back. It cannot do
     this in compiled code: when torch.compile traces it, no error exists yet.
-
-    Raises:
-        ValueError: an argument is wrong; the message begins with its name.
-        MemoryError: there is not enough memory.
     """
     arguments = tuple(value.detach() if isinstance(value, Tensor) else value for value in arguments)
     if torch.compiler.is_compiling():

@@ -97,12 +97,7 @@ def is_done(out: Path) -> bool:
 
 
 def check_origin(job: Job, name: str, path: Path) -> None:
-    """Compares where a result came from with what the batch would make.
-
-    Raises:
-        ValueError: the result is of another recording, or of other files, parameters or version.
-        OSError, TypeError: the result is damaged; the message names the file.
-    """
+    """Compares where a result came from with what the batch would make."""
     out = job.folder(name)
     origin = read_origin(out)
     files = fingerprint(path, own_files(out)) if is_there(path) and origin.fingerprint else origin.fingerprint
@@ -116,10 +111,6 @@ def check_origin(job: Job, name: str, path: Path) -> None:
 
 
 def report_of(out: Path, memory: float | None = None, told: tuple[str, ...] = ()) -> SceneReport:
-    """The report of a result on disk.
-
-    Raises:
-        OSError, ValueError, TypeError: there is no result, or it is damaged; the message names the file.
-    """
+    """The report of a result on disk."""
     counts, seconds = read_record(out)
     return SceneReport(counts["points"], counts["frames"], counts["point_segments"], seconds, memory, told)

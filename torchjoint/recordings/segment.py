@@ -53,11 +53,6 @@ def _in_order(engine: Engine, segmenter: JointSegmenter, scene: Scene) -> Iterat
         engine: the workers.
         segmenter: has been reset to the scene's cloud.
         scene: the cloud and its frames.
-
-    Raises:
-        WorkerDied: two workers died with the same chunk.
-        ConnectionError: the engine cannot be reached any more.
-        ValueError, TypeError, OSError: as from the segmenter, or from reading frames.
     """
     frames, done = scene.frames, len(segmenter.state.observations)
     if done == len(frames):

@@ -112,12 +112,7 @@ def segmentsai_object(segment: int, name: str) -> dict[str, Any]:
 
 
 def read_boxes(file: Path) -> list[Box]:
-    """Reads boxes: a .json is of labelCloud (centroid_abs), Segments.ai or CVAT, anything else has lines of OpenPCDet.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it cannot be read, or has another content; the message names the file and the box.
-    """
+    """Reads boxes: a .json of labelCloud (centroid_abs), Segments.ai or CVAT; anything else has lines of OpenPCDet."""
     if file.suffix.lower() != ".json":
         text = read_text(file, "boxes", bounds.JSON_BYTES, errors="replace")
         rows = [(number, line.split(maxsplit=7)) for number, line in enumerate(text.splitlines(), start=1)]

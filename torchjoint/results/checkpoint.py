@@ -72,11 +72,7 @@ class Checkpoint:
         return state
 
     def save(self, state: Evidence, *, now: bool = False) -> None:
-        """Saves the state if `now` is True, or if it is time: after INTERVAL seconds, or sooner if saving is quick.
-
-        Raises:
-            OSError: for example if the disk is full; the state on disk is then that of the last save.
-        """
+        """Saves the state if `now` is True, or if it is time: after INTERVAL seconds, or sooner if saving is quick."""
         start = time.monotonic()
         if not now and start < self._next_save:
             return

@@ -44,9 +44,6 @@ def split(table: SplitTable, pieces: tuple[int, ...], hierarchy: Hierarchy | Non
 
     Returns:
         [P] the table after the split; the part without the segment's first piece is the new segment.
-
-    Raises:
-        ValueError: there is no hierarchy, the two pieces are no merge, or the segment is a single piece.
     """
     if hierarchy is None:
         raise ValueError("split: expected a hierarchy, got none; only point_segments.method learned makes one")
@@ -162,9 +159,6 @@ class Edits:
 
         Returns:
             [P] the segment of each piece; the number of a segment is that of its first piece.
-
-        Raises:
-            ValueError: a split without a hierarchy, of a single piece, or at a merge that does not exist.
         """
         table = first_pieces(table)
         for step in self.steps:
@@ -197,11 +191,7 @@ def write_edits(folder: Path, edits: Edits) -> None:
 
 
 def read_edits(folder: Path, num_pieces: int) -> Edits:
-    """The corrections of a result; none if there is no edits.json. Files of 0.1.0 do not say of which result they are.
-
-    Raises:
-        ValueError: the file is damaged, or of another result; the message names it.
-    """
+    """The corrections of a result; none without edits.json. Files of 0.1.0 do not say of which result they are."""
     file, own = folder / FILE, manifest_checksum(folder)
     if not has_file(file):
         return Edits(num_pieces, of=own)

@@ -111,12 +111,7 @@ def crops_of(
 
 
 def check_segment(segment: int, count: int) -> int:
-    """Returns the id of a segment as int, if it is one of 0, ..., `count` - 1.
-
-    Raises:
-        TypeError: not an integer.
-        ValueError: out of range.
-    """
+    """Returns the id of a segment as int, if it is one of 0, ..., `count` - 1."""
     try:
         number = operator.index(segment)
     except TypeError:
@@ -256,11 +251,7 @@ class Embeddings:
 
 
 def read_embeddings(folder: Path, num_points: int) -> Embeddings | None:
-    """The vectors that were saved with a result; None if there are none.
-
-    Raises:
-        ValueError: the file is damaged, or of another result; the message names it.
-    """
+    """The vectors that were saved with a result; None if there are none."""
     if not has_file(folder / FILE):
         return None
     found = Embeddings.load(folder / FILE)

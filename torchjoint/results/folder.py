@@ -97,9 +97,6 @@ def write_result(
     A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level can be computed. Then
     run.yaml also records the granularity of the labels, and the wall-clock `seconds` of the run's parts before, with
     those of writing. manifest.json has the checksums.
-
-    Raises:
-        ValueError: a label does not fit 16-bit images, or two frames have the same name.
     """
     start = time.perf_counter()
     _remove_earlier(folder)
@@ -146,12 +143,7 @@ def _remove_earlier(folder: Path) -> None:
 
 
 def read_points(folder: Path) -> PointResult:
-    """Reads `points.npz` of a result.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged; the message names it.
-    """
+    """Reads `points.npz` of a result."""
     file = folder / "points.npz"
     present(file, "a folder that `torchjoint segment` wrote")
     with damage_is(f"{file}: not a whole result", OSError):
@@ -168,10 +160,6 @@ def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
 
     Images are read, and checked, when they are used. Images and names are in the order of the names; initial images are
     not kept.
-
-    Raises:
-        FileNotFoundError: a file is missing.
-        ValueError: a file is damaged; the message names it.
     """
     labels = read_points(folder).labels
     files = sorted((folder / "images").glob("*.png"))
@@ -194,12 +182,7 @@ def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
 
 
 def read_config(folder: Path) -> Config:
-    """Reads the parameters of the run that made a result.
-
-    Raises:
-        FileNotFoundError: there is no run.yaml.
-        ValueError, TypeError: run.yaml is damaged; the message names the file.
-    """
+    """Reads the parameters of the run that made a result."""
     return read_yaml(_run_file(folder), lambda record: Config.from_dict(record.get("config")), "a record of a run")
 
 

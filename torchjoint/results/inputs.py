@@ -65,23 +65,14 @@ def write_inputs(folder: Path, scene: Scene, result: Segmentation) -> None:
 
 
 def read_names(folder: Path) -> dict[str, str]:
-    """The name of each file of `inputs/`, without suffix, by the true name of its frame; none without cameras.json.
-
-    Raises:
-        ValueError: cameras.json is damaged; the message names the file.
-    """
+    """The name of each file of `inputs/`, without suffix, by the true name of its frame; none without cameras.json."""
     stored = {file.stem for file in (folder / INPUTS).glob("*.jpg")}  # earlier versions had longer names
     names = [str(name) for name in _read_cameras(folder)] if has_file(folder / CAMERAS) else []
     return {name: name if name in stored else file_name(name) for name in names}
 
 
 def read_inputs(folder: Path, names: Sequence[str], check: Check = unchecked) -> Sequence[Frame]:
-    """Reads the frames of a result, in the order of `names`; images are read, and checked, when they are used.
-
-    Raises:
-        FileNotFoundError: there is no cameras.json (results of earlier versions have none).
-        ValueError: cameras.json is damaged or has other names; the message names the file.
-    """
+    """Reads the frames of a result, in the order of `names`; images are read, and checked, when they are used."""
     file, files = folder / CAMERAS, read_names(folder)
     records = _read_cameras(folder)
     with damage_is(f"{file}: not the cameras of these images"):

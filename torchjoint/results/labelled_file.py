@@ -34,11 +34,7 @@ _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 
 
 def check_dimension(path: Path, name: str) -> None:
-    """Checks that a file does not have a dimension yet.
-
-    Raises:
-        ValueError: the file has it.
-    """
+    """Checks that a file does not have a dimension yet."""
     with open_las(path) as reader:
         if name in set(reader.header.point_format.dimension_names):
             raise ValueError(f"{path}: expected no dimension {name}, got one; remove it first")
@@ -196,9 +192,6 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
         source: as for :func:`label_file`.
         folder: a new folder, for files 000000.ply, or 000000-NAME.ply, by label.
         result: the result.
-
-    Raises:
-        As :func:`label_file`; also ValueError: an ascii .ply with faces.
     """
     mesh = _read(source)
     folder.mkdir()

@@ -53,12 +53,7 @@ def unchecked(path: Path) -> Path:
 
 
 def open_manifest(folder: Path) -> Check:
-    """Checks what a result consists of; returns the check of single files, for those that are read later.
-
-    Raises:
-        FileNotFoundError: a file is missing.
-        ValueError, TypeError: a file was changed or does not belong to the result; the message names it.
-    """
+    """Checks what a result consists of; returns the check of single files, for those that are read later."""
     record = read_yaml(folder / RUN, dict, "a record of a run")
     if not has_file(folder / FILE):
         if "manifest" not in record:  # of version 0.1.0
@@ -124,9 +119,6 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
         hierarchy: of the points.
         names: of the images, without suffix.
         piece_images: [H, W] int64 per image, -1 = none.
-
-    Raises:
-        ValueError: more pieces than an image can hold.
     """
     if hierarchy.num_pieces - 1 > MAX_PIECE:
         raise ValueError(f"hierarchy: {hierarchy.num_pieces} pieces do not fit 24-bit images (at most {MAX_PIECE + 1})")
@@ -154,12 +146,7 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
 
 
 def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
-    """Reads hierarchy.npz of a result that has `num_points` points.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged or of other points; the message names it.
-    """
+    """Reads hierarchy.npz of a result that has `num_points` points."""
     file = folder / HIERARCHY
     if not has_file(file):
         raise FileNotFoundError(
@@ -180,12 +167,7 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
 
 
 def read_piece_image(path: Path, num_pieces: int) -> Tensor:
-    """Reads an image of pieces; returns [H, W] int64, -1 = none.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged or has other pieces; the message names it.
-    """
+    """Reads an image of pieces; returns [H, W] int64, -1 = none."""
     red, green, blue = read_image(path).to(torch.int64)
     pieces = (red << 16) + (green << 8) + blue - 1
     if int(pieces.max()) >= num_pieces:

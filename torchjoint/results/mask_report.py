@@ -94,11 +94,7 @@ def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskFates:
 
 
 def count_masks(folder: Path) -> tuple[int, int] | None:
-    """How many masks became a segment, and how many there are; None: the result has no masks.json.
-
-    Raises:
-        ValueError: the file is damaged; the message names it.
-    """
+    """How many masks became a segment, and how many there are; None: the result has no masks.json."""
     if not has_file(folder / FILE):
         return None
     masks = [mask["iou"] for frame in _read(folder)["frames"] for mask in frame["masks"]]
@@ -109,10 +105,6 @@ def select_masked(folder: Path, result: Result) -> Result:
     """The result with only those segments of the cloud that lie in masks with at least half of their pixels.
 
     The other segments are -1 in points and images; ids stay. There are no levels any more.
-
-    Raises:
-        FileNotFoundError: there is no masks.json: no frame had masks.
-        ValueError: the file is damaged, or no segment lies in masks; the message names the file.
     """
     segments = _read(folder)["segments"]
     with damage_is(f"{folder / FILE}: not the masks of this result"):

@@ -172,12 +172,7 @@ def write_segments(folder: Path, scene: Scene, result: Segmentation) -> None:
 
 
 def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int] | None = None) -> None:
-    """Writes into segments.json more values, and for each segment its row in a file of vectors.
-
-    Raises:
-        FileNotFoundError, ValueError: as :func:`read_segments`.
-        BusyError: another program writes there at this moment.
-    """
+    """Writes into segments.json more values, and for each segment its row in a file of vectors."""
     with lock(folder / f".{FILE}.lock", f"{folder / FILE}: another program is writing it; save again"):
         head, _ = read_segments(folder)
         row = (lambda one: {}) if rows is None else (lambda one: {"embedding": rows.get(one["id"])})

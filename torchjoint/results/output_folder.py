@@ -112,13 +112,6 @@ def output_folder(
             becomes `out`. Then nothing is left to do, and None is yielded.
         overwrite: replace an earlier result; only a result (an empty folder, or one with a run.yaml) is replaced.
         inputs: what the run reads; `out` must not contain it.
-
-    Raises:
-        FileExistsError: `out` exists and `overwrite` is False; `out` is not a result; the path of the partial result is
-            used by something else; another run is writing to `out`; or `out` was made or changed inside the block.
-        ValueError: `out` is an input.
-        LostError: the file of the lock was removed inside the block.
-        PermissionError: nothing can be written there.
     """
     check_no_input(out, inputs)
     out = Path(os.path.abspath(out))

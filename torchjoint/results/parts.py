@@ -56,11 +56,7 @@ class Parts:
         return np.where(labels < self.count, labels, -1)
 
     def table(self, edits: Edits) -> Table:
-        """[P] the segment of each piece after the edits; the number of a segment is that of its first piece.
-
-        Raises:
-            ValueError: an edit that is not possible.
-        """
+        """[P] the segment of each piece after the edits; the number of a segment is that of its first piece."""
         return edits.apply(self.level(edits.granularity), self.result.hierarchy)
 
     def names(self, edits: Edits) -> dict[int, str]:
@@ -92,11 +88,7 @@ class Parts:
 
 
 def edited(result: Result, edits: Edits) -> Result:
-    """Applies corrections by hand: renumbers the labels by first appearance, and sets `segment_names`.
-
-    Raises:
-        ValueError: an edit that is not possible.
-    """
+    """Applies corrections by hand: renumbers the labels by first appearance, and sets `segment_names`."""
     parts = Parts(result)
     table = parts.table(edits)
     firsts, of_piece = np.unique(table, return_inverse=True)  # ascending: in the order of first appearance

@@ -91,24 +91,14 @@ class Relations:
         return graph
 
     def save(self, folder: str | Path) -> None:
-        """Writes the list "relations" into segments.json of a result's folder, beside what is there.
-
-        Raises:
-            FileNotFoundError, ValueError: the folder is no result, or has other segments, as after corrections.
-        """
+        """Writes the list "relations" into segments.json of a result's folder, beside what is there."""
         if not torch.equal(stored_labels(Path(folder)), self.labels):
             raise ValueError(f"{folder}: expected the segments of the graph; load_result(folder, edits=False) has them")
         add_to_segments(Path(folder), {"relations": [asdict(one) for one in self.relations]})
 
     @classmethod
     def load(cls, folder: str | Path) -> Relations:
-        """Reads what :meth:`save` wrote.
-
-        Raises:
-            FileNotFoundError: the folder is no result.
-            ValueError: nothing was saved, it is damaged or a link, or segments.json and points.npz have not the same
-                segments; the message names the file.
-        """
+        """Reads what :meth:`save` wrote."""
         content, labels = read_segments(Path(folder))
         with damage_is(
             f"{Path(folder) / FILE}: expected relations, as `torchjoint export {folder} --format graph` adds them"

@@ -30,11 +30,7 @@ class PointLabels(NamedTuple):
 
 
 def read_point_labels(file: Path, num_points: int) -> PointLabels | None:
-    """Reads a label of segmentation of Segments.ai (docs.segments.ai, label types); None: the file is none.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
-    """
+    """Reads a label of segmentation of Segments.ai (docs.segments.ai, label types); None: the file is none."""
     if file.suffix.lower() != ".json":
         return None
     record = read_record(file, "boxes or labels of points")
@@ -191,11 +187,6 @@ def save_edits(folder: Path, edits: Edits, before: Edits, parts: Parts) -> Edits
 
     Returns:
         what edits.json now holds: the corrections of the others, then the own ones.
-
-    Raises:
-        ValueError: the folder holds another result now, or the corrections of both are not possible together; nothing
-            is written.
-        BusyError: another program is saving at this moment.
     """
     with lock(folder / f".{FILE}.lock", f"{folder / FILE}: another program is saving; save again"):
         saved = read_edits(folder, edits.num_pieces)

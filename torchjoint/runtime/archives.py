@@ -56,12 +56,7 @@ def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray
 
 
 def read_npy(path: Path) -> npt.NDArray[Any]:
-    """Reads an array, .npy.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: as :func:`read_archive`.
-    """
+    """Reads an array, .npy."""
     with (
         open_file(path, "an array of numbers, .npy") as stream,
         damage_is(f"{path}: not a whole .npy array of numbers"),
@@ -75,11 +70,7 @@ def read_npy(path: Path) -> npt.NDArray[Any]:
 
 
 def check_header(stream: IO[bytes], size: int, name: str) -> None:
-    """Reads the header of an array of NumPy in `size` bytes, and checks that its numbers or texts lie in them.
-
-    Raises:
-        ValueError: they do not, or have no bytes at all (texts of length 0); the message begins with `name`.
-    """
+    """Reads the header of an array of NumPy in `size` bytes, and checks that its numbers or texts lie in them."""
     version = np.lib.format.read_magic(stream)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in read_header:
@@ -92,11 +83,7 @@ def check_header(stream: IO[bytes], size: int, name: str) -> None:
 
 
 def as_int64(values: npt.NDArray[Any], name: str) -> npt.NDArray[Any]:
-    """Integers as int64, which torch knows, unless they are; other arrays stay.
-
-    Raises:
-        ValueError: an integer of 2^63 or more; the message begins with `name`.
-    """
+    """Integers as int64, which torch knows, unless they are; other arrays stay."""
     if values.dtype.kind != "u" or values.dtype.itemsize == 1:
         return values
     if values.dtype.itemsize == 8 and int(values.max(initial=0)) >= 1 << 63:

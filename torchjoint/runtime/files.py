@@ -59,11 +59,7 @@ def frame_files(names: Sequence[str]) -> list[str]:
 
 
 def no_link(path: Path) -> Path:
-    """Returns a path below which a file will be written.
-
-    Raises:
-        FileExistsError: it is a link, which leads elsewhere: a result may come from a stranger.
-    """
+    """Returns a path below which a file will be written."""
     if path.is_symlink():
         raise FileExistsError(f"{path}: expected a file or folder, got a link; nothing is written through it")
     return path
@@ -134,11 +130,7 @@ def write_values(path: Path, values: Mapping[str, Any]) -> None:
 
 
 def read_values(path: Path) -> dict[str, Any]:
-    """Reads what :func:`write_values` wrote. No code in it is run, and it is not larger than its file.
-
-    Raises:
-        FileNotFoundError, ValueError: as :func:`read_checked`; also if the content is another one.
-    """
+    """Reads what :func:`write_values` wrote. No code in it is run, and it is not larger than its file."""
     content = read_checked(path)
     with damage_is(f"{path}: not a saved state", Exception):  # torch raises errors of many types
         _check_pickle(content)

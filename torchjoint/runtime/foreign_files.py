@@ -115,11 +115,7 @@ def has_file(path: Path) -> bool:
 
 
 def has_folder(path: Path) -> bool:
-    """Whether a path leads to a folder.
-
-    Raises:
-        ValueError: as of :func:`is_there`.
-    """
+    """Whether a path leads to a folder."""
     mode = _mode(path)
     return mode is not None and stat.S_ISDIR(mode)
 
@@ -180,11 +176,7 @@ def read_json(path: Path, expected: str) -> Any:
 
 
 def parse_json(data: bytes, name: str) -> Any:
-    """Reads the bytes of a JSON file.
-
-    Raises:
-        ValueError: they are not JSON, or hold too many values; the message begins with `name`.
-    """
+    """Reads the bytes of a JSON file."""
     check(sum(map(data.count, (b",", b"[", b"{"))), JSON_VALUES, "values", name)
     with damage_is(f"{name}: not a whole JSON file"):
         return json.loads(data)

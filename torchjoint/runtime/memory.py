@@ -59,9 +59,6 @@ _SIZE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([kmgt]i?)?b?\s*", re.I
 def as_bytes(memory: int | str | None, name: str = "memory") -> int:
     """Converts a size to bytes: "2GB" (10^9), "500 MiB" (2^20) or a number; None: SHARE of the memory.
 
-    Raises:
-        ValueError: it is not a size; the message begins with `name`.
-
     Example:
         >>> as_bytes("2GB"), as_bytes("1.5 KiB"), as_bytes(0)
         (2000000000, 1536, 0)

@@ -54,9 +54,6 @@ def needed_for(purpose: str, package: str, requirement: str) -> Iterator[None]:
         purpose: what needs the package; the message begins with it.
         package: name of the package, such as "Open3D".
         requirement: the argument of `pip install`, such as "torchjoint[open3d]".
-
-    Raises:
-        ModuleNotFoundError: the package is not installed or does not load; the message gives the command.
     """
     try:
         yield

@@ -61,13 +61,7 @@ def _opened(path: Path) -> int:
 
 @contextmanager
 def lock(path: Path, busy: str) -> Iterator[Lock]:
-    """Holds the lock of a file inside the block; then removes the file.
-
-    Raises:
-        BusyError: another process holds it; `busy` is the message.
-        FileExistsError: there is a file of something else.
-        LostError: the file was removed, and then a file of the run was missing.
-    """
+    """Holds the lock of a file inside the block; then removes the file."""
     while True:
         descriptor = _opened(no_link(path))
         try:
@@ -141,9 +135,6 @@ def work_folder(folder: Path, source: str) -> Path:
     Args:
         folder: its path.
         source: all on which its content depends.
-
-    Raises:
-        FileExistsError: there is such a folder, but no run made it; or a link is in it.
     """
     for path in (folder, *folder.rglob("*")):
         no_link(path)
@@ -189,11 +180,7 @@ def seen(path: Path, without: Collection[str] = ()) -> Seen:
 
 
 def check_unchanged(out: Path, before: Seen, without: Collection[str] = (), at: Path | None = None) -> None:
-    """Checks that nothing stands at a path that was not there before; `at`: what stood there has moved there.
-
-    Raises:
-        ChangedError: it names what is new.
-    """
+    """Checks that nothing stands at a path that was not there before; `at`: what stood there has moved there."""
     if new := seen(out if at is None else at, without) - before:
         raise _changed(out / min(new)[0])
 
@@ -203,11 +190,7 @@ def _changed(path: Path) -> ChangedError:
 
 
 def move_new(source: Path, target: Path) -> None:
-    """Renames a file or folder to a path where nothing is, or an empty folder. Can be repeated after a kill.
-
-    Raises:
-        ChangedError: something is there.
-    """
+    """Renames a file or folder to a path where nothing is, or an empty folder. Can be repeated after a kill."""
     if source.is_dir():
         try:
             os.rename(source, target)  # the system refuses to replace a file, or a folder that is not empty
@@ -235,9 +218,6 @@ def put(new: Path, out: Path, before: Seen, aside: Path) -> None:
         out: its place.
         before: what stood there when the run began.
         aside: where an earlier folder goes; the caller deletes it afterwards.
-
-    Raises:
-        ChangedError: something else stands there now; it stays, or is put back.
     """
     check_unchanged(out, before)
     if not before:
@@ -257,11 +237,7 @@ def put(new: Path, out: Path, before: Seen, aside: Path) -> None:
 
 
 def settle(new: Path, out: Path, aside: Path) -> None:
-    """Ends a :func:`put` of a folder that was killed: gives back what stood at `out`, unless `new` has replaced it.
-
-    Raises:
-        FileExistsError: meanwhile something else stands there.
-    """
+    """Ends a :func:`put` of a folder that was killed: gives back what stood at `out`, unless `new` has replaced it."""
     if not os.path.lexists(aside):
         return
     if not os.path.lexists(new):
@@ -273,11 +249,7 @@ def settle(new: Path, out: Path, aside: Path) -> None:
 
 
 def check_no_input(out: Path, inputs: Iterable[Path | None], option: str = "-o") -> None:
-    """Checks that an output replaces no input, also by way of links.
-
-    Raises:
-        ValueError: `out` is an input, contains one, or is an existing file of an input folder.
-    """
+    """Checks that an output replaces no input, also by way of links."""
     real = Path(os.path.realpath(out))
     for given in inputs:
         if given is None or not given.exists():
@@ -328,11 +300,7 @@ class Output:
 
     @contextmanager
     def written(self) -> Iterator[Path]:
-        """Yields a path of the same name in a new folder beside it. What is there at the end takes its place.
-
-        Raises:
-            ChangedError: something else stands there now; it stays.
-        """
+        """Yields a path of the same name in a new folder beside it. What is there at the end takes its place."""
         beside = Path(tempfile.mkdtemp(dir=self.path.parent, prefix=PARTIAL))
         new = beside / self.path.name
         try:
@@ -347,10 +315,6 @@ class Output:
         self._before = seen(self.path)
 
     def remove(self) -> None:
-        """Deletes what stood there: it does not belong to what is written now.
-
-        Raises:
-            ChangedError: something else stands there now; it stays.
-        """
+        """Deletes what stood there: it does not belong to what is written now."""
         check_unchanged(self.path, self._before)
         self.path.unlink(missing_ok=True)

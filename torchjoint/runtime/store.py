@@ -76,11 +76,7 @@ class Packed:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Packed:
-        """The inverse of :meth:`to_dict`, for values of a file.
-
-        Raises:
-            TypeError, ValueError: they are no packed tensor, or one that is too large for its bytes.
-        """
+        """The inverse of :meth:`to_dict`, for values of a file."""
         packed = cls(**{**values, "content": values["content"].numpy().tobytes(), "shape": tuple(values["shape"])})
         whole = all(type(size) is int and size >= 0 for size in packed.shape) and type(packed.low) is int
         if packed.dtype not in _TYPES or packed.stored not in _STORED or not whole or not -_FAR <= packed.low < _FAR:
@@ -99,11 +95,7 @@ class Packed:
 
 
 def pack(tensor: Tensor) -> Packed:
-    """Packs a tensor of type uint8, int32, int64 or float32; uint8 of three dimensions are images, [C, H, W].
-
-    Raises:
-        TypeError: another type.
-    """
+    """Packs a tensor of type uint8, int32, int64 or float32; uint8 of three dimensions are images, [C, H, W]."""
     dtype, shape = str(tensor.dtype).removeprefix("torch."), tuple(tensor.shape)
     if dtype not in _TYPES:
         raise TypeError(f"tensor: expected one of {', '.join(_TYPES)}, got {dtype}")
@@ -138,11 +130,7 @@ class Span:
         self._file, self._start, self._size = file, start, size
 
     def read(self) -> bytes:
-        """The bytes.
-
-        Raises:
-            OSError: the disk failed.
-        """
+        """The bytes."""
         return self._file.read(self._start, self._size)
 
     def __reduce__(self) -> tuple[type[bytes], tuple[bytes]]:
@@ -154,9 +142,6 @@ class SpillFile:
 
     Args:
         folder: a folder on the disk to use; default: the variable TMPDIR, or /var/tmp (/tmp is often in memory).
-
-    Raises:
-        OSError: no file can be created there; the message names the folder.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -170,11 +155,7 @@ class SpillFile:
         self._lock = Lock()
 
     def write(self, parts: Sequence[bytes]) -> list[Span]:
-        """Writes all parts, or none.
-
-        Raises:
-            OSError: for example if the disk is full; earlier data stay readable.
-        """
+        """Writes all parts, or none."""
         with self._lock:
             start, spans = self._end, []
             try:
@@ -189,11 +170,7 @@ class SpillFile:
         return spans
 
     def mapped(self, size: int) -> mmap.mmap:
-        """The first `size` bytes of the file as memory, whose pages the system may drop; bytes beyond its end are 0.
-
-        Raises:
-            OSError: for example if the disk is full.
-        """
+        """The first `size` bytes of the file as memory, whose pages the system may drop; bytes beyond its end are 0."""
         # Written, because a full disk would otherwise end the process where the memory is used first.
         full, rest = divmod(max(0, size - self._end), ZEROS)
         self.write([bytes(ZEROS)] * full + [bytes(rest)])

@@ -65,9 +65,6 @@ def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "kee
         invalid: what becomes of points that are NaN or infinite; "drop" warns of their number.
         beams: what becomes of beams without return, see :func:`without_return`: they are kept; or left out, with a
             warning, if they are many, or if there are any.
-
-    Raises:
-        ValueError: there are NaN or infinite points, and they are refused; or there are no others.
     """
     valid = torch.isfinite(points).all(1)
     bad = int((~valid).sum())

@@ -258,9 +258,6 @@ def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None
         size: (H, W) of the image.
         scores: optional [M] in [0, 1].
         name: name of the masks in messages.
-
-    Raises:
-        ValueError, TypeError: naming the argument, what was expected and what came.
     """
     if isinstance(masks, Masks):
         if scores is not None:

@@ -76,9 +76,6 @@ def voxel_subsample(points: Tensor, size: float) -> Tensor:
     Returns:
         [M] int64 indices of the points that are kept, ascending.
 
-    Raises:
-        ValueError: `size` is not positive, or so small that voxels cannot be numbered.
-
     >>> voxel_subsample(torch.tensor([[0.1, 0.1, 0.1], [0.5, 0.5, 0.4], [1.2, 0.0, 0.0]]), 1.0)
     tensor([1, 2])
     """

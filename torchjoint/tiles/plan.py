@@ -48,9 +48,6 @@ def read_points(files: Sequence[Path], whites: Sequence[int] | None = None) -> I
     Args:
         files: of the cloud.
         whites: of :class:`Survey`; colours then have 16 bits in all files.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
     """
     first = 0
     for number, path in enumerate(files):
@@ -72,9 +69,6 @@ def survey(files: Sequence[Path], align: float | None = None) -> Survey:
     Args:
         files: of the cloud.
         align: metres; the grid starts at a multiple of this length, which is itself a multiple of the cells' side.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
     """
     num_points, low, high = _bounds(files)
     for _ in range(2):

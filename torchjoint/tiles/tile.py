@@ -189,11 +189,7 @@ def read_own(path: Path) -> OwnLabels:
 
 
 def read_shared(path: Path) -> SharedLabels:
-    """Reads the labels of the points that are also in other tiles from the same file.
-
-    Raises:
-        ValueError: as :func:`read_own`.
-    """
+    """Reads the labels of the points that are also in other tiles from the same file."""
     return SharedLabels(*_read(path, "shared", SharedLabels._fields))
 
 

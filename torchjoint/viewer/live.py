@@ -36,9 +36,6 @@ class GrowingView:
     Args:
         on_open: called with the page's address when the page is ready.
         host, port: see :class:`~torchjoint.viewer.app.Viewer`.
-
-    Raises:
-        ModuleNotFoundError: viser is not installed.
     """
 
     def __init__(self, on_open: Callable[[str], object] = print, *, host: str = "127.0.0.1", port: int = 8080) -> None:
@@ -84,9 +81,6 @@ class LiveView:
         on_open: called with the page's address when the page is ready.
         share: largest share of the run's time for the view.
         host, port: see :class:`~torchjoint.viewer.app.Viewer`.
-
-    Raises:
-        ModuleNotFoundError: viser is not installed.
     """
 
     def __init__(

@@ -35,11 +35,7 @@ class Click(NamedTuple):
 
 
 def pieces_of_clicks(parts: Parts, edits: Edits, clicks: Sequence[Click]) -> Table:
-    """The pieces of the thing of one or more clicks, ascending; a single click gives the corrected segment.
-
-    Raises:
-        ValueError: no click is on the thing, or two that disagree are in one piece.
-    """
+    """The pieces of the thing of one or more clicks, ascending; a single click gives the corrected segment."""
     if len(clicks) == 1 and clicks[0].belongs:
         table = parts.table(edits)
         return np.flatnonzero(table == table[parts.of_point[clicks[0].point]])
@@ -155,9 +151,6 @@ class Model:
         Args:
             point: index of the point that was clicked.
             belongs: False: the thing ends before it.
-
-        Raises:
-            ValueError: no click is on the thing, or two that disagree are in one piece.
         """
         self._pick((*self.clicks, Click(point, belongs)))
 
@@ -166,11 +159,7 @@ class Model:
         self._pick(self.clicks[:-1])
 
     def keep(self) -> None:
-        """Makes the thing of the clicks a segment of its own, at every level.
-
-        Raises:
-            ValueError: there were no clicks.
-        """
+        """Makes the thing of the clicks a segment of its own, at every level."""
         if not self._picked:
             raise ValueError("one thing: expected clicks on a thing, got none")
         self._add()
@@ -180,22 +169,14 @@ class Model:
         self._edit(replace(self.edits, granularity=granularity))
 
     def join(self) -> None:
-        """Joins the selected segments.
-
-        Raises:
-            ValueError: fewer than two are selected.
-        """
+        """Joins the selected segments."""
         if len(self.selected) < 2:
             raise ValueError("join: select two or more segments with shift")
         first, *others = self.selected
         self._add(*(Edit("join", (first, other)) for other in others))
 
     def split(self) -> None:
-        """Splits the selected segment at the place that :func:`place_to_split` chooses, and selects both parts.
-
-        Raises:
-            ValueError: not exactly one segment is selected, or it cannot be split.
-        """
+        """Splits the selected segment at the place that :func:`place_to_split` chooses, and selects both parts."""
         segment = self._the_selected("split")
         sizes = np.bincount(self.parts.of_point, minlength=self.parts.count)
         of_piece = self.table == segment
@@ -203,11 +184,7 @@ class Model:
         self.select(tuple(int(part) for part in np.unique(self.table[of_piece])))
 
     def name(self, name: str) -> None:
-        """Names the selected segment; an empty name removes its name. Consecutive names are one change.
-
-        Raises:
-            ValueError: not exactly one segment is selected, or the name is longer than LONGEST.
-        """
+        """Names the selected segment; an empty name removes its name. Consecutive names are one change."""
         segment = self._the_selected("name")
         if len(name) > LONGEST:
             raise ValueError(f"name: expected at most {LONGEST} characters, got {len(name)}")
@@ -293,10 +270,6 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     * PLY: one cloud of the selected points in their own colours; its property `label` is the displayed id;
     * PNG: a ZIP file with a mask for each frame that sees a selected segment, 255 = selected;
     * COCO: COCO's JSON of the selected segments in all frames, with the displayed ids and the names.
-
-    Raises:
-        ValueError: nothing is selected, or an unknown kind, or masks of segments that no frame sees.
-        ModuleNotFoundError: COCO needs pycocotools.
     """
     if not model.selected:
         raise ValueError("export: select a segment first")

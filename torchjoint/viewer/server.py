@@ -98,11 +98,7 @@ def add_camera(
 
 
 def import_viser() -> Any:
-    """Returns the module viser.
-
-    Raises:
-        ModuleNotFoundError: it is not installed; the message gives the command.
-    """
+    """Returns the module viser."""
     with needed_for("the viewer", "viser", "torchjoint[viewer]"):
         import viser
     return viser
@@ -118,9 +114,6 @@ def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int
 
     Returns:
         a viser.ViserServer, the distance between the viewer and the scene's centre, metres, and the page's address.
-
-    Raises:
-        ModuleNotFoundError: viser is not installed.
     """
     viser, token = import_viser(), secrets.token_urlsafe(24)
     from websockets.asyncio import server as sockets

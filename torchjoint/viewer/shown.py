@@ -72,11 +72,7 @@ class Shown:
     text_encoder: Callable[[str], Tensor] | None = None
 
     def edits(self, result: Result, granularity: float | None = None) -> Edits:
-        """The corrections of the result on disk, at another level if one is given.
-
-        Raises:
-            ValueError: edits.json is damaged, or belongs to another result.
-        """
+        """The corrections of the result on disk, at another level if one is given."""
         count = Parts(result).count
         edits = Edits(count) if self.folder is None else read_edits(self.folder, count)
         return edits if granularity is None else replace(edits, granularity=granularity)

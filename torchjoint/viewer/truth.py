@@ -24,9 +24,6 @@ def with_truth(result: Result, scene: Scene) -> Result:
     Args:
         result: of the scene, or of some of its points and frames.
         scene: the scene with its truth.
-
-    Raises:
-        ValueError: the scene has no truth, or lacks a frame of the result.
     """
     if scene.truth is None:
         raise ValueError(f"--truth: expected a scene with ground truth, got {scene.name} without")
@@ -45,12 +42,7 @@ def with_truth(result: Result, scene: Scene) -> Result:
 
 
 def read_labelled_cloud(path: Path) -> Result:
-    """Reads a .ply with the property `label`, or a .npz with the arrays points and labels.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, or has no labels; the message names the file.
-    """
+    """Reads a .ply with the property `label`, or a .npz with the arrays points and labels."""
     cloud = read_cloud_file(path)
     labels = _labels(path)
     if labels is None or len(labels) != len(cloud.points):

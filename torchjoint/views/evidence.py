@@ -72,11 +72,7 @@ class Evidence:
         )
 
     def check_types(self) -> None:
-        """Checks evidence that was read from a file.
-
-        Raises:
-            TypeError, ValueError: a tensor has another type or shape than the evidence of any cloud.
-        """
+        """Checks evidence that was read from a file."""
         edges, points = (len(one) if isinstance(one, Tensor) and one.ndim else 0 for one in (self.views, self.facing))
         for name, expected in vars(Evidence.zeros(edges, points)).items():
             got = getattr(self, name)
@@ -99,11 +95,7 @@ class Evidence:
             raise ValueError(f"{name}: {expected}, got {came[0]} points, {came[1]} edges")
 
     def check_seen(self) -> None:
-        """Checks that the frames, if there are any, see the cloud.
-
-        Raises:
-            ValueError: none of them sees a point.
-        """
+        """Checks that the frames, if there are any, see the cloud."""
         count = len(self.observations)
         if count and not self.observations.see_points:
             raise ValueError(f"frames: none of the {count} images sees a point; wrong poses, axes or units?")

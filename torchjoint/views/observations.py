@@ -224,11 +224,7 @@ class Observations(Sequence[Observation]):
         self.extend(observations)
 
     def extend(self, observations: Iterable[Observation | PackedObservation]) -> None:
-        """Adds observations, all or none.
-
-        Raises:
-            OSError: the file cannot be written; the message says what the user can do.
-        """
+        """Adds observations, all or none."""
         records, in_memory, beyond = list(observations), self._in_memory, []
         for index, record in enumerate(records):
             if isinstance(record, PackedObservation) and record.is_spilled:

@@ -14,12 +14,7 @@ from torchjoint.runtime.foreign_files import damage_is, open_file, present
 
 
 class BinaryFile:
-    """Reads a little-endian file from front to back. A context manager.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file ends too soon; every method may raise it. The message names file, byte and expected data.
-    """
+    """Reads a little-endian file from front to back. A context manager."""
 
     def __init__(self, path: Path) -> None:
         present(path, "a binary file")

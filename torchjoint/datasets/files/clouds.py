@@ -73,11 +73,7 @@ def read_cloud_file(
 
 
 def _opaque(opacities: Tensor, least: float, path: Path) -> Tensor:
-    """Which Gaussian splats [N] are visible enough to be a part of a surface, [N] bool.
-
-    Raises:
-        ValueError: none of them is.
-    """
+    """Which Gaussian splats [N] are visible enough to be a part of a surface, [N] bool."""
     enough = opacities >= least
     if not bool(enough.any()):
         raise ValueError(f"{path}: all {len(enough)} splats are fainter than --least-opacity (least_opacity) {least:g}")
@@ -146,12 +142,7 @@ def likelier_columns(rows: Tensor) -> int | None:
 
 
 def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:
-    """Reads a LiDAR scan of KITTI or nuScenes, float32 rows x, y, z, ...; returns [N, columns].
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the size of the file does not fit, or a point is not finite.
-    """
+    """Reads a LiDAR scan of KITTI or nuScenes, float32 rows x, y, z, ...; returns [N, columns]."""
     present(path, "a LiDAR scan")
     size = path.stat().st_size
     if size == 0 or size % (4 * columns):

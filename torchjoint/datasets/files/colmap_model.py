@@ -65,12 +65,7 @@ def has_model(folder: Path) -> bool:
 
 
 def read_images(folder: Path) -> list[ColmapImage]:
-    """Returns the images of a model, sorted by name.
-
-    Raises:
-        FileNotFoundError: a part of the model is missing.
-        ValueError: a damaged file, an unsupported camera model, or two images with the same name.
-    """
+    """Returns the images of a model, sorted by name."""
     cameras_file, images_file = _file(folder, "cameras"), _file(folder, "images")
     cameras = _cameras_of_binary(cameras_file) if cameras_file.suffix == ".bin" else _cameras_of_text(cameras_file)
     rows = _images_of_binary(images_file) if images_file.suffix == ".bin" else _images_of_text(images_file)
@@ -88,12 +83,7 @@ def read_images(folder: Path) -> list[ColmapImage]:
 
 
 def read_points(folder: Path) -> tuple[Tensor, Tensor]:
-    """Returns the sparse points of a model, sorted by id: positions [N, 3] float64 and colours [N, 3] uint8.
-
-    Raises:
-        FileNotFoundError: the file is missing.
-        ValueError: the file is damaged or holds no points, or a colour is not in 0-255.
-    """
+    """Returns the sparse points of a model, sorted by id: positions [N, 3] float64 and colours [N, 3] uint8."""
     file = _file(folder, "points3D")
     rows = _points_of_binary(file) if file.suffix == ".bin" else _points_of_text(file)
     if not rows:

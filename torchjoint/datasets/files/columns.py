@@ -64,11 +64,7 @@ class CloudFile(NamedTuple):
 
 
 def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
-    """The cloud that columns [N] of numbers, or [N, k], describe; warnings begin with `name`.
-
-    Raises:
-        ValueError: there are no x, y and z.
-    """
+    """The cloud that columns [N] of numbers, or [N, k], describe; warnings begin with `name`."""
     found: dict[str, str] = {}
     for column in sorted(columns, key=lambda column: (plain(column) != column, column != column.lower())):
         if columns[column].ndim == 1:

@@ -28,12 +28,7 @@ Array = npt.NDArray[Any]
 
 
 def read_e57(path: Path) -> CloudFile:
-    """Reads a whole file: positions, float64, and colours, if any.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
-        ModuleNotFoundError: pye57 is not installed.
-    """
+    """Reads a whole file: positions, float64, and colours, if any."""
     present(path, "a point cloud, .e57")
     with needed_for("reading .e57", "pye57", "torchjoint[e57]"):
         import pye57

@@ -20,10 +20,6 @@ def read_exr(path: Path, channel: str) -> Tensor:
 
     Returns:
         [H, W] float32.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file; it is damaged, larger, or lacks the channel.
-        ModuleNotFoundError: OpenEXR is not installed.
     """
     present(path, "an image, .exr")
     with needed_for("reading .exr", "OpenEXR", "torchjoint[record3d]"):

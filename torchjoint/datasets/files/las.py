@@ -42,12 +42,7 @@ class LasPoints(NamedTuple):
 
 
 def read_las(path: Path) -> CloudFile:
-    """Reads a whole file: positions, float64, and colours, if any.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
-        ModuleNotFoundError: laspy or lazrs is not installed.
-    """
+    """Reads a whole file: positions, float64, and colours, if any."""
     with open_las(path) as reader:
         tell_not_read(reader.header.point_format.extra_dimension_names, str(path))
         parts = list(las_points(reader, path))
@@ -63,10 +58,6 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
     Args:
         path: of the file.
         only_places: decompress only coordinates and colours, if the file's point format allows it.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
-        ModuleNotFoundError: laspy or lazrs is not installed.
     """
     laspy = las_library()
     check_header(path)
@@ -110,11 +101,7 @@ def las_points(reader: Any, path: Path, count: int = CHUNK) -> Iterator[LasPoint
 
 
 def las_library() -> Any:
-    """The module laspy, with a backend that reads LAZ.
-
-    Raises:
-        ModuleNotFoundError: laspy or lazrs is not installed; the message says what to install.
-    """
+    """The module laspy, with a backend that reads LAZ."""
     with needed_for("reading .las and .laz", "laspy and lazrs", "torchjoint[las]"):
         import laspy
         import lazrs  # noqa: F401
@@ -147,12 +134,7 @@ class LasHeader(NamedTuple):
 
 
 def check_header(path: Path) -> LasHeader:
-    """Reads and checks the header of a file.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is no LAS file, or sizes do not fit the file; the message names the file.
-    """
+    """Reads and checks the header of a file."""
     with open_file(path, "a point cloud, .las or .laz") as stream, damage_is(f"{path}: not a whole LAS file"):
         size = path.stat().st_size
         header = _parse(stream.read(375))

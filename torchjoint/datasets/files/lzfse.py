@@ -14,10 +14,6 @@ def decompress(data: bytes, size: int, name: str = "data") -> bytes:
     """Decompresses data to `size` bytes; `name` is for messages.
 
     Data that have too many blocks for this size are not unpacked: a few bytes can become gigabytes.
-
-    Raises:
-        ValueError: the data are damaged, or give another size.
-        ModuleNotFoundError: lzfse is not installed.
     """
     with needed_for("reading depth of Record3D", "lzfse", "torchjoint[record3d]"):
         import lzfse

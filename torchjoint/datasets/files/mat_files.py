@@ -49,10 +49,6 @@ def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
     Args:
         path: the file.
         max_count: largest number of elements of all matrices together.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: a truncated file, another version, or a matrix that is too large.
     """
     data = read_file(path, "a .mat file", bounds.IMAGE_BYTES)
     order = _ORDERS.get(data[126:128])

@@ -14,9 +14,6 @@ class Members:
 
     Args:
         path: of the archive or folder. The directory of an archive is read once: it may have 10,000 entries.
-
-    Raises:
-        ValueError: a damaged archive.
     """
 
     def __init__(self, path: Path) -> None:
@@ -30,11 +27,7 @@ class Members:
         self.names = set(self._entries)
 
     def read(self, name: str, most: int) -> bytes:
-        """Reads a file of at most `most` bytes.
-
-        Raises:
-            ValueError: the file is missing, damaged or larger.
-        """
+        """Reads a file of at most `most` bytes."""
         if name not in self.names:
             raise ValueError(f"{self.path}: {name} is missing")
         file = self.path / name

@@ -47,10 +47,6 @@ def read_mesh_file(path: Path) -> CloudFile:
     The points of an .obj are its `v` lines, those of others their vertices, in the order of the file. Colours are those
     of vertices, faces or textures; if a part has none, those of the others are not read, which a warning tells. Normals
     are not read: in many files they are those of a smooth picture. Equal vertices of an .stl are one vertex.
-
-    Raises:
-        ModuleNotFoundError: trimesh is not installed.
-        FileNotFoundError, ValueError: the message names the file and its error.
     """
     with needed_for(f"{path.suffix} files", "trimesh", "torchjoint[mesh]"):
         import trimesh
@@ -317,12 +313,7 @@ def check_obj(data: bytes, name: str) -> None:
 
 
 def check_gltf(data: bytes, parts: Parts, name: str) -> None:
-    """Checks the images of a .gltf or .glb, and that its numbers lie in its buffers.
-
-    Raises:
-        FileNotFoundError, ValueError: as of :meth:`Parts.get`, or there are too many numbers.
-        LookupError, TypeError, struct.error: the file is damaged.
-    """
+    """Checks the images of a .gltf or .glb, and that its numbers lie in its buffers."""
     chunks = _chunks(data) if data[:4] == b"glTF" else [(_JSON, data)]
     tree = parse_json(next(chunk for kind, chunk in chunks if kind == _JSON), name)
     binary = iter([chunk for kind, chunk in chunks if kind == _BINARY])

@@ -65,12 +65,7 @@ class Pcd:
 
 
 def read_pcd(path: Path) -> Pcd:
-    """Reads a PCD file.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error; sizes in the header are compared
-            with the file's size before memory is allocated.
-    """
+    """Reads a PCD file."""
     data = read_file(path, "a point cloud, .pcd")
     header = _parse_header(path, data[:MAX_HEADER])
     body, dtype = memoryview(data)[header.size :], np.dtype(list(header.fields.items()))
@@ -198,9 +193,6 @@ def decompress(data: bytes, size: int, name: str = "data") -> bytearray:
             and may overlap itself.
         size: of the output, bytes.
         name: for messages.
-
-    Raises:
-        ValueError: the data are damaged, or give another size.
     """
     out, place, end = bytearray(), 0, len(data)
     try:

@@ -104,11 +104,7 @@ def read_ply(path: Path) -> CloudFile:
 
 
 def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
-    """Reads an integer property of the vertices, [N]; None if there is no property of this name.
-
-    Raises:
-        FileNotFoundError, ValueError: as :func:`read_ply`; also if the property is a list, or not of integers.
-    """
+    """Reads an integer property of the vertices, [N]; None if there is no property of this name."""
     values = _read_elements(path).get("vertex", {}).get(name)
     if values is None:
         return None
@@ -203,11 +199,7 @@ def _read_elements(path: Path) -> dict[str, Columns]:
 
 
 def parse_header(data: bytes) -> Header:
-    """Parses the header at the start of a file.
-
-    Raises:
-        ValueError: a wrong line; the message quotes the first one.
-    """
+    """Parses the header at the start of a file."""
     end = re.search(rb"\nend_header[ \t]*\r?\n", data[:MAX_HEADER])
     if not re.match(rb"(?:\xef\xbb\xbf)?ply[ \t]*\r?\n", data) or end is None:
         raise ValueError("not a PLY file, or its header is truncated")
@@ -415,11 +407,7 @@ class PlyRecords(NamedTuple):
     rest: bytes  #: everything after the last element in `records`
 
     def with_labels(self, name: str, labels: Mapping[str, Array]) -> bytes:
-        """The file with one more property of the elements in `labels`, int NAME, at the end of each row.
-
-        Raises:
-            ValueError: there is such a property already.
-        """
+        """The file with one more property of the elements in `labels`, int NAME, at the end of each row."""
         lines, bodies = list(self.head), dict(self.records)
         for element, values in labels.items():
             of_file = next(one for one in self.header.elements if one.name == element)
@@ -438,11 +426,7 @@ class PlyRecords(NamedTuple):
         return b"".join([*lines, *map(_joined, bodies.values()), self.rest])
 
     def some_vertices(self, which: npt.NDArray[np.bool_], triangles: npt.NDArray[np.int64] | None) -> bytes:
-        """A file with some of the vertices, all their properties, and these triangles of the new vertices, if any.
-
-        Raises:
-            ValueError: an ascii file with triangles.
-        """
+        """A file with some of the vertices, all their properties, and these triangles of the new vertices, if any."""
         end = next(i for i, line in enumerate(self.head) if line.split()[:1] == [b"element"])
         lines = [f"element vertex {int(which.sum())}"]
         lines += [f"property {_WORDS[one.kind]} {one.name}" for one in self.header.elements[0].properties]
@@ -459,21 +443,13 @@ class PlyRecords(NamedTuple):
 
 
 def read_records(path: Path) -> PlyRecords:
-    """Reads a file's records.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
-    """
+    """Reads a file's records."""
     with damage_is(str(path)):
         return parse_records(read_file(path, "a .ply"))
 
 
 def parse_records(data: bytes) -> PlyRecords:
-    """Reads the records of a file's bytes.
-
-    Raises:
-        ValueError: the bytes are damaged, or have no vertices.
-    """
+    """Reads the records of a file's bytes."""
     header = parse_header(data)
     if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
         raise ValueError("expected vertices without lists as first element")

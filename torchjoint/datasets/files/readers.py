@@ -71,9 +71,6 @@ def read_image(path: Path, camera_size: tuple[int, int] | None = None) -> Tensor
 
     Returns:
         [3, H, W] uint8 RGB.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
     """
     return rgb_of(_as_calibrated(read_raster(path), camera_size, str(path)), str(path))
 
@@ -128,9 +125,6 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     Args:
         path: of a recording.
         without: files and folders to ignore, such as the result of a run if it is inside the recording.
-
-    Raises:
-        FileNotFoundError: there is no such file or folder.
     """
     if not is_there(path):
         raise FileNotFoundError(f"{path} does not exist")
@@ -147,11 +141,7 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
 
 
 def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
-    """Files in and below a folder without results; links are followed, but not those to a folder around it.
-
-    Raises:
-        ValueError: there are too many: a link leads to more than a recording.
-    """
+    """Files in and below a folder without results; links are followed, but not those to a folder around it."""
     entered, count, root = set(), 0, os.path.realpath(folder)
     for place, folders, names in os.walk(folder, followlinks=True):
         if place != str(folder) and not RESULTS.isdisjoint(names):

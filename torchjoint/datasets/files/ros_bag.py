@@ -35,12 +35,9 @@ class Stamp(NamedTuple):
 
 
 class Bag:
-    """A recording; one thread at a time reads it. Its files stay open: opening them takes longer than reading an image.
+    """A recording; one thread at a time reads it.
 
-    Raises:
-        FileNotFoundError: there is no such path.
-        ValueError: the recording is damaged; every method may raise it. The message names the recording.
-        ModuleNotFoundError: rosbags is not installed.
+    Its files stay open: opening them takes longer than reading an image.
     """
 
     def __init__(self, path: Path) -> None:
@@ -161,9 +158,6 @@ def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
     Args:
         make: makes a decompressor, such as bz2.BZ2Decompressor; each stream in the bytes gets a new one.
         packed: a chunk of a recording, or a message.
-
-    Raises:
-        ValueError: the bytes are truncated, or their decompressed size exceeds the limit.
     """
     most = bounds.RATIO * len(packed) + bounds.FREE
     parts, count, left = [], 0, packed

@@ -50,11 +50,7 @@ def color_image(message: Any, name: str) -> Tensor:
 
 
 def depth_image(message: Any, name: str) -> Tensor:
-    """[H, W] float32 metres of an Image or CompressedImage, 0 = unknown.
-
-    Raises:
-        ValueError: as :func:`color_image`.
-    """
+    """[H, W] float32 metres of an Image or CompressedImage, 0 = unknown."""
     if not hasattr(message, "encoding"):
         if "32FC1" in message.format:
             raise ValueError(f"{name}: expected compressed depth of 16 bits, got {message.format!r}")
@@ -99,9 +95,6 @@ def camera(message: Any, rectified: bool, name: str, image_size: tuple[int, int]
         rectified: the images are.
         name: for messages.
         image_size: (H, W) of an image; needed if there is a region of interest: some drivers send whole images with it.
-
-    Raises:
-        ValueError: the distortion model is not one of OpenCV, or the numbers describe no camera.
     """
     K = np.asarray(getattr(message, "k", None) if hasattr(message, "k") else message.K, np.float64).reshape(3, 3)
     P = np.asarray(message.p if hasattr(message, "p") else message.P, np.float64).reshape(3, 4)
@@ -128,9 +121,6 @@ def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
     """The finite points of a PointCloud2, float64 in the message's frame, with their colours, if any.
 
     And how many points are left out because they are (0, 0, 0), as drivers write a beam without return.
-
-    Raises:
-        ValueError: there are no fields x, y, z, or sizes do not fit.
     """
     fields = {field.name: field for field in message.fields}
     count, step = int(message.width) * int(message.height), int(message.point_step)

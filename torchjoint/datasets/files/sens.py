@@ -47,10 +47,6 @@ class SensFile:
         color_size: (H, W).
         depth_size: (H, W).
         poses: [F, 4, 4] float64, camera-to-world, OpenCV axes, metres; -inf where tracking was lost.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: another version or codec, a truncated file, or sizes that do not fit the file.
     """
 
     def __init__(self, path: Path) -> None:

@@ -23,11 +23,7 @@ from torchjoint.runtime.foreign_files import damage_is, open_file, parse_json, r
 
 
 def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
-    """Yields (name, line) for each line except comments (#); messages use `name`; `expected` describes the file.
-
-    Raises:
-        FileNotFoundError, ValueError: there is no such file, or it is not a text file.
-    """
+    """Yields (name, line) for each line except comments (#); messages use `name`; `expected` describes the file."""
     is_damaged = damage_is(f"{path}: expected {expected} as text")
     with open_file(path, expected) as stream, is_damaged, TextIOWrapper(stream, "utf-8-sig") as text:
         for number, line in enumerate(iter(partial(text.readline, bounds.LINE), ""), 1):
@@ -37,11 +33,7 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
 
 
 def parse_numbers(words: Sequence[str], name: str) -> list[float]:
-    """Converts the words of a line to finite numbers.
-
-    Raises:
-        ValueError: the message names the line and the invalid words.
-    """
+    """Converts the words of a line to finite numbers."""
     try:
         values = [float(word) for word in words]
     except ValueError:
@@ -52,11 +44,7 @@ def parse_numbers(words: Sequence[str], name: str) -> list[float]:
 
 
 def parse_integer(word: str, name: str) -> int:
-    """Converts a word of a line to an integer of at most 18 digits.
-
-    Raises:
-        ValueError: the message names the line and the invalid word.
-    """
+    """Converts a word of a line to an integer of at most 18 digits."""
     if not (word.isascii() and word.removeprefix("-").isdigit() and len(word) < 19):
         raise ValueError(f"{name}: expected an integer, got {word[:100]!r}")
     return int(word)
@@ -133,21 +121,12 @@ class Record:
 
 
 def read_record(path: Path, expected: str) -> Record:
-    """Reads a JSON file that holds an object; messages use `expected` to describe it.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is too large, is not JSON, or holds no object.
-    """
+    """Reads a JSON file that holds an object; messages use `expected` to describe it."""
     return _as_record(read_json(path, expected), str(path))
 
 
 def parse_record(data: bytes, name: str) -> Record:
-    """Reads the bytes of a JSON file that holds an object.
-
-    Raises:
-        ValueError: the bytes are not JSON, or hold no object.
-    """
+    """Reads the bytes of a JSON file that holds an object."""
     return _as_record(parse_json(data, name), name)
 
 
@@ -177,10 +156,6 @@ def path_inside(folder: Path, name: str, source: str, *, or_inside: Sequence[Pat
     """Resolves path `name` in file `source`, which is relative to `folder`; links within the folder are followed.
 
     A name with the backslashes of Windows is one with slashes, unless there is a file of that name.
-
-    Raises:
-        ValueError: `name` is not a file name, or it leads out of the folder and of `or_inside`: untrusted data must not
-            read other files.
     """
     if not _is_file_name(name):
         raise ValueError(f"{source}: expected a path of a file, got {name[:100]!r}")

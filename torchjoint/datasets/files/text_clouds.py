@@ -37,9 +37,6 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
     Args:
         path: of the file.
         letters: of the columns, as of :func:`torchjoint.datasets.files.clouds.read_cloud_file`, or None.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file, the line and what to do.
     """
     data = _as_utf8(read_file(path, "a point cloud as text"))
     start, number, names, count = _preamble(data, f"{path}: not a whole {path.suffix} cloud")
@@ -63,11 +60,7 @@ def _as_utf8(data: bytes) -> bytes:
 
 
 def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int | None]:
-    """The byte and the line where the rows begin, the names of columns, and the number of points, if there are any.
-
-    Raises:
-        ValueError: a line of words that are no names of columns.
-    """
+    """The byte and the line where the rows begin, the names of columns, and the number of points, if there are any."""
     start, number, names, count = 0, 1, None, None
     while start < len(data):
         end = data.find(b"\n", start) + 1 or len(data)
@@ -138,9 +131,6 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
     Args:
         rows: [N, columns].
         is_pts: if there are seven columns, they are x y z intensity r g b.
-
-    Raises:
-        ValueError: the rows do not have at least three numbers.
     """
     if rows.ndim != 2 or rows.shape[1] < 3:
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}")
@@ -189,11 +179,7 @@ def _are_unit(values: Array) -> bool:
 
 
 def cloud_of_letters(rows: Array, letters: str) -> CloudFile:
-    """The cloud of rows whose columns have a letter each.
-
-    Raises:
-        ValueError: the rows have another number of columns.
-    """
+    """The cloud of rows whose columns have a letter each."""
     if rows.ndim != 2 or rows.shape[1] != len(letters):
         raise ValueError(f"expected rows of {len(letters)} numbers, {letters!r}, got shape {list(rows.shape)}")
     values = np.ascontiguousarray(rows, dtype=np.float64)

@@ -44,12 +44,7 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def read_frames(path: Path) -> Sequence[Frame]:
-    """Returns the frames of a folder; each frame is read on access.
-
-    Raises:
-        FileNotFoundError: a frame has no pose, or there are no intrinsics.
-        ValueError: a pose that is not rigid, or two images of one frame.
-    """
+    """Returns the frames of a folder; each frame is read on access."""
     colors = _color_files(path)
     stems = [file.name.split(".")[0] for file in colors]
     if len(set(stems)) < len(stems):

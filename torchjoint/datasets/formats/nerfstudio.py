@@ -72,12 +72,7 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def read_frames(file: Path, record: Record) -> Sequence[Frame]:
-    """Returns the frames of transforms.json, sorted by file name; each frame is read on access.
-
-    Raises:
-        FileNotFoundError: an image is missing.
-        ValueError: a missing key or wrong type, a pose that is not rigid, or a lens that is not perspective.
-    """
+    """Returns the frames of transforms.json, sorted by file name; each frame is read on access."""
     for_all = {key: value for key, value in record.values.items() if key != "frames"}
     frames = [Record(for_all | dict(frame.values), frame.name) for frame in record.records("frames")]
     shots = sorted((_shot(file, frame) for frame in frames), key=lambda shot: shot.color)

@@ -79,12 +79,7 @@ def recognizes(path: Path) -> bool:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the recording; see :func:`torchjoint.load_scene`.
-
-    Raises:
-        ValueError: the recording is damaged, a topic is missing or ambiguous, or no image has a pose.
-        ModuleNotFoundError: rosbags is not installed.
-    """
+    """Loads the recording; see :func:`torchjoint.load_scene`."""
     bag = Bag(path)
     poses = Poses(bag, options.time_limit)
     topics = _find_topics(bag, poses, options.topics)
@@ -127,11 +122,7 @@ def _find_topics(bag: Bag, poses: Poses, chosen: Mapping[str, str]) -> _Topics:
 
 
 def _check_poses(bag: Bag, topics: _Topics, poses: Poses, frame: str) -> None:
-    """A camera whose poses are missing must not count as one that stands still.
-
-    Raises:
-        ValueError: there is no pose of the images, or none that connects them to the cloud.
-    """
+    """A camera whose poses are missing must not count as one that stands still."""
     if topics.points is not None and poses.root(of_points := _frame(bag.first(topics.points))) != poses.root(frame):
         raise ValueError(
             f"{bag.path}: expected one tree of tf, got no pose between frame {frame!r} of {topics.color} and frame "

@@ -111,10 +111,6 @@ def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
     Args:
         folder: holds color/, pose/ and (optional) depth/.
         cameras: colour and depth cameras.
-
-    Raises:
-        FileNotFoundError: an image without a pose.
-        ValueError: a pose that is not rigid, or two images with one number.
     """
     images = sorted(
         (file for file in (folder / "color").iterdir() if file.suffix.lower() in _SUFFIXES),

@@ -65,12 +65,7 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def read_frames(path: Path) -> Sequence[Frame]:
-    """Returns the frames of a recording; each frame is read on access.
-
-    Raises:
-        FileNotFoundError: a list, or a file in a list, is missing.
-        ValueError: an invalid line, or no image with a pose.
-    """
+    """Returns the frames of a recording; each frame is read on access."""
     colors = _read_files(path / "rgb.txt")
     depths = _read_files(path / "depth.txt") if has_file(path / "depth.txt") else []
     depth_of = dict(associate([file.time for file in colors], [file.time for file in depths]))

@@ -30,9 +30,6 @@ def export_las(path: Path, result: Result) -> None:
 
     Coordinates are kept to a tenth of a millimetre. A result with a confidence also has it at each point, as the extra
     dimension `confidence` (float32).
-
-    Raises:
-        ModuleNotFoundError: laspy is not installed.
     """
     with needed_for("--format las", "laspy", "torchjoint[export]"):
         import laspy

@@ -28,11 +28,7 @@ class Mask(NamedTuple):
 
 
 def masks_of(labels: Tensor) -> Iterator[Mask]:
-    """The masks of all segments of a label image [H, W], ascending by id; pixels without a label are in none.
-
-    Raises:
-        ModuleNotFoundError: pycocotools is not installed.
-    """
+    """The masks of all segments of a label image [H, W], ascending by id; pixels without a label are in none."""
     with needed_for("--format coco or sam", "pycocotools", "torchjoint[export]"):
         from pycocotools import mask as coder
     ids, place = labels.unique(return_inverse=True)  # small numbers: ids may be large
@@ -49,10 +45,6 @@ def export_sam(folder: Path, result: Result) -> None:
 
     An annotation has mask, box and area. It has no `predicted_iou`, `stability_score` and `point_coords`, because the
     method computes none.
-
-    Raises:
-        ModuleNotFoundError: pycocotools is not installed.
-        ValueError: the result has no images.
     """
     if not len(result.images):
         raise ValueError("--format sam: expected a result with images, got none")
@@ -85,10 +77,6 @@ def export_coco(path: Path, result: Result) -> None:
 
     `in_cloud` is False for a segment of an image that has no points. All annotations have category 1, "object". `score`
     is the confidence in the segment, where the result has one; `segment_name` is the name that it got by hand.
-
-    Raises:
-        ModuleNotFoundError: pycocotools is not installed.
-        ValueError: the result has no images.
     """
     if not len(result.images):
         raise ValueError("--format coco: expected a result with images, got none")
@@ -178,9 +166,6 @@ def export_openmask3d(folder: Path, result: Result) -> None:
 
     OpenMask3D itself saves its masks as a NumPy array, which ``torch.load`` of today refuses; its programs take both.
     The vectors are of unit length; as there, a segment that no frame sees has zeros.
-
-    Raises:
-        ValueError: no embeddings were saved with the result.
     """
     if result.embeddings is None:
         raise ValueError("--format openmask3d: expected saved embeddings, got none; result.embed(...).save(RESULT)")

@@ -81,9 +81,6 @@ class MemberModel:
         rounds: K ensembles of trees, one for each round.
         calibrations: K maps of the trees' probability, each [2, C] float64: C >= 2 knots x (ascending) and y (not
             descending), both in [0, 1]. Between the knots the map is linear, beyond them constant. Empty: no map.
-
-    Raises:
-        TypeError, ValueError: the arrays do not fit together; the message names round and array.
     """
 
     thresholds: tuple[float, ...]
@@ -135,9 +132,6 @@ class BoundaryModel:
 
     Attributes:
         members: M models with the same thresholds and features.
-
-    Raises:
-        ValueError: there is no member, or the members are for other rounds.
     """
 
     members: tuple[MemberModel, ...]
@@ -233,10 +227,6 @@ def load_boundary_model(path: str | Path | None = None) -> BoundaryModel:
     Args:
         path: a file of :func:`save_boundary_model`; None: the model that comes with the package; a process
             reads it only once.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, or its model is for other features; the message names the file and the array.
     """
     if path is None:
         return _packaged_model()

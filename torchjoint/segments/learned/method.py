@@ -35,11 +35,7 @@ def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
 
 
 def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
-    """All levels of the segmentation.
-
-    Raises:
-        ValueError: the graph was built without scales.
-    """
+    """All levels of the segmentation."""
     if graph.scales is None:
         raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
     scales, model = graph.scales, _model(config)

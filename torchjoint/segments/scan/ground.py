@@ -66,9 +66,6 @@ def height_over_ground(points: Tensor, used: Tensor | None = None) -> Tensor:
 
     Returns:
         [N] float64 metres.
-
-    Raises:
-        ValueError, TypeError: naming the argument, what was expected and what came.
     """
     points = as_points(points)
     with torch.no_grad(), one_thread_per_operation():

@@ -82,9 +82,6 @@ def find_rings(points: Tensor, seen: Directions | None = None) -> Rings | None:
     Args:
         points: [N, 3] in any unit, z up, the sensor at the origin.
         seen: their directions, if they are known.
-
-    Raises:
-        ValueError, TypeError: naming the argument, what was expected and what came.
     """
     with torch.no_grad(), one_thread_per_operation():
         seen = seen or directions(as_points(points))
