@@ -74,7 +74,7 @@ _HOMES = {
         "results.result": "Result",
         "scene": "Cloud Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
         "synthetic": "SyntheticScene",
-        "scene.pose_warning": "PoseWarning",
+        "scene.frame": "PoseWarning",
     }.items()
     for name in names.split()
 }
