@@ -2,7 +2,7 @@
 
     pip install uv
     .ci/wheels dist
-    python benchmarks/install_matrix.py dist/*.whl --state matrix.json --pages README.md docs/installation.md \
+    python benchmarks/install_matrix.py dist/*.whl --state matrix.json --pages docs/installation.md \
         --python python3.11 --python "chroot /srv/sid python3.14" --torch 2.10.0 --torch 2.15.0
 
 A Python may be a command that runs it elsewhere: what stands before its last word is put before all commands. The

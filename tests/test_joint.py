@@ -603,6 +603,15 @@ def test_each_frame_is_decoded_once(synthetic, many_frames, method, count):
     assert list(result.names) == [frame.name for frame in many_frames[:count]]
 
 
+def test_another_level(synthetic):
+    fine, default = (tj.JointSegmenter(granularity=level)(synthetic.scene) for level in (0.8, 0.5))
+    expected = default.at(0.8)
+    assert torch.equal(fine.points, expected.points)
+    assert all(map(torch.equal, fine.images, expected.images))
+    with pytest.raises(ValueError, match=r"granularity: expected a number from 0 \(coarse\) to 1 \(fine\), got 2"):
+        tj.JointSegmenter(granularity=2)
+
+
 SCAN = CONFIG.set(["point_segments.method=scan"])
 
 

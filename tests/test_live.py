@@ -305,3 +305,9 @@ def test_inference_mode_and_a_default_device_change_no_label(frames, around, tmp
     assert torch.equal(result.segmentation.points, expected.segmentation.points)
     for one, other in zip(result.segmentation.images, expected.segmentation.images, strict=True):
         assert torch.equal(one, other)
+
+
+def test_a_result_is_shown_in_one_line(frames):
+    result = played(frames[:3]).result(images=False)
+    assert repr(result).startswith(f"LiveResult({len(result.cloud.points)} points, {len(result.ids)} things, ")
+    assert "tensor" not in repr(result)

@@ -1,4 +1,4 @@
-"""The programs of docs/recipes.md run; what they write is read as the other tools read it."""
+"""The programs of pages for other tools run; what they write is read as the other tools read it."""
 
 import json
 import re
@@ -16,13 +16,13 @@ ROOT = Path(__file__).parents[1]
 SCENE = "scene0000_00"
 
 
-def program(name, language="python"):
-    text = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8")
+def program(name, language="python", page="superpoints.md"):
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     return re.search(rf"<!-- {name} -->\n```{language}\n(.*?)```", text, flags=re.DOTALL)[1]
 
 
 def execute(name):
-    exec(compile(program(name), "recipes.md", "exec"), {})
+    exec(compile(program(name), "superpoints.md", "exec"), {})
 
 
 @pytest.fixture(params=[300, pytest.param(100_000, marks=pytest.mark.slow)])
@@ -101,7 +101,7 @@ def test_a_scalar_field_for_cloudcompare(monkeypatch, tmp_path):
     points = torch.rand(100_000, 3)
     points.view(-1)[: len(text)] = text
     write_cloud(Path("out/points.ply"), points, torch.rand(100_000, 3), labels)
-    subprocess.run(["bash", "-c", program("cloudcompare command", "bash")], check=True)
+    subprocess.run(["bash", "-c", program("cloudcompare command", "bash", "in_and_out.md")], check=True)
     head, body = Path("cloudcompare.ply").read_bytes().split(b"end_header\n", 1)
     assert re.findall(r"property (\w+) (\w+)", head.decode()) == [
         ("float", "x"), ("float", "y"), ("float", "z"), ("uchar", "red"), ("uchar", "green"), ("uchar", "blue"),

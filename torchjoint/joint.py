@@ -35,6 +35,7 @@ from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import ahead, on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene, Segmentation
+from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.segments.method import Method, choose_method, describe
 from torchjoint.views.evidence import Evidence, FrameEvidence, observe_frame
 from torchjoint.views.observations import Observations
@@ -111,6 +112,8 @@ class JointSegmenter(nn.Module):
             masks or labels, they are used instead.
         merge_within: metres; the points in one cube with this side are merged to their mean, and all get its label. Use
             it for scans that overlap with small errors. Method scan ignores it. Exact copies are always merged.
+        granularity: level of the result, from 0 (coarse) to 1 (fine); another one than 0.5 needs method learned. Each
+            result has all levels, see :meth:`torchjoint.Segmentation.at`.
         memory: largest memory of the frames' evidence for steps 6-8: "2GB", "500 MiB", or bytes. The rest is packed to
             a temporary file. The labels do not depend on it. Default: a quarter of the memory of the machine or
             container.
@@ -135,18 +138,20 @@ class JointSegmenter(nn.Module):
         boundary: nn.Module | None = None,
         image_segmenter: nn.Module | None = None,
         merge_within: float = 0.0,
+        granularity: float = 0.5,
         memory: int | str | None = None,
         spill: str | Path | None = None,
         allow_import: bool = False,
     ) -> None:
         super().__init__()
+        check_granularity(granularity)
         if config is not None and not isinstance(config, Config):
             raise TypeError(
                 f"config: expected a Config, got {type(config).__name__}; see JointSegmenter.from_preset('paper')"
             )
         if not (math.isfinite(merge_within) and merge_within >= 0):
             raise ValueError(f"merge_within: expected metres >= 0, got {merge_within}")
-        self.merge_within = merge_within
+        self.merge_within, self.granularity = merge_within, granularity
         self._memory = as_bytes(memory)
         self._spill = None if spill is None else Path(spill)
         self.config = config or Config()
@@ -342,7 +347,8 @@ class JointSegmenter(nn.Module):
         with one_thread_per_operation():
             with self.stopwatch("point segments"):
                 tree = method.segment(graph, evidence, config)
-            return label(tree, graph, evidence, config, self.stopwatch, images=images, progress=progress)
+            found = label(tree, graph, evidence, config, self.stopwatch, images=images, progress=progress)
+        return found if self.granularity == 0.5 else found.at(self.granularity)
 
     def _method_of(self, config: Config | None) -> Method:
         """The method of step 6 with another config; raises ValueError if the evidence does not fit to it."""

@@ -1,6 +1,6 @@
 """Makes pictures for the documents from generated scenes: `python lab/studies/pictures.py` (about two minutes).
 
-docs/mistakes.jpg and the table of messages in docs/wrong_poses.md; docs/parameters-images.jpg and parameters-scan.jpg;
+docs/mistakes.jpg and the table of messages in docs/your_data.md; docs/parameters-images.jpg and parameters-scan.jpg;
 docs/instances.jpg; docs/meshes.jpg and boxes.jpg, which need Open3D.
 """
 
@@ -278,7 +278,7 @@ def main() -> None:
     result = segmented_mesh()
     draw_mesh(result).savefig(DOCS / "meshes.jpg", **jpeg)
     draw_boxes(result).savefig(DOCS / "boxes.jpg", **jpeg)
-    report.write_part("mistakes", messages(), DOCS / "wrong_poses.md")
+    report.write_part("mistakes", messages(), DOCS / "your_data.md")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 `python lab/studies/some_masks.py WORK [--scenes 3] [--domains room table ...] [--write]`. Each scene is run four times
 with points moved by 0.1 mm and other masks (errors like SAM's, 15 views), without masks, with masks of everything, and
 with masks of a share of the things, but of nothing else. WORK keeps the scores of each scene, so that an interrupted
-command goes on, and gets some_masks.png; `--write` puts the table and the picture in docs/.
+command goes on, and gets some_masks.png; `--write` puts the table in README.md, and the picture in docs/.
 """
 
 import argparse
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("work", type=Path)
     parser.add_argument("--scenes", type=int, default=3)
     parser.add_argument("--domains", nargs="+", choices=DOMAINS, default=DOMAINS)
-    report.add_write(parser, "the table in docs/masks.md, and its picture")
+    report.add_write(parser, "the table in lab/studies/README.md, and its picture")
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     scores: dict[str, list[Scores]] = {}
@@ -54,7 +54,7 @@ def main() -> None:
     print(text)
     plot([of_scene for of_domain in scores.values() for of_scene in of_domain], arguments.work / "some_masks.png")
     if arguments.write:
-        report.write_part("masks of some things", text, DOCS / "masks.md")
+        report.write_part("masks of some things", text)
         shutil.copyfile(arguments.work / "some_masks.png", DOCS / "some_masks.png")
 
 

@@ -78,7 +78,7 @@ def test_a_library_that_does_not_fit_in_memory_is_one_line(run, monkeypatch, mes
     def fails(name):
         raise ImportError(message)
 
-    monkeypatch.setattr("torchjoint.cli.main.import_module", fails)
+    monkeypatch.setattr(sys.modules["torchjoint.cli.main"], "import_module", fails)
     with pytest.raises(SystemExit if ends else ImportError, match="error: out of memory" if ends else message):
         run("segment", "x")
 

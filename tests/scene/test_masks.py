@@ -81,9 +81,9 @@ BOOLS = torch.zeros(2, 4, 6, dtype=torch.bool)
         ({"masks": torch.rand(4, 6)}, TypeError, "masks: expected an integer dtype, got torch.float32"),
         ({"masks": BOOLS[None]}, ValueError, r"masks: expected shape \[M, H, W\], got \[1, 2, 4, 6\]"),
         (
-            {"masks": BOOLS.numpy()},
+            {"masks": BOOLS.tolist()},
             TypeError,
-            "masks: expected a torch.Tensor or Masks, got ndarray; see torchjoint.mas",
+            "masks: expected a torch.Tensor or Masks, got list; see torchjoint.mas",
         ),
         ({"masks": torch.full((4, 6), -2)}, ValueError, "masks: expected labels >= -1"),
         ({"masks": BOOLS, "mask_scores": torch.ones(3)}, ValueError, r"masks' scores: expected shape \[2\], got \[3\]"),

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 
@@ -15,6 +16,22 @@ def test_dtypes_and_sizes():
     assert frame.intrinsics.dtype == frame.world_to_camera.dtype == torch.float64
     assert frame.depth.dtype == torch.float32
     assert frame.labels.dtype == torch.int64
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_arrays_of_numpy(channels):
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 256, (4, 6, channels), dtype=np.uint8)
+    masks, scores = rng.random((2, 4, 6)) < 0.5, np.array([0.5, 1.0], np.float32)
+    frame = Frame(image[:, ::-1], np.eye(3), np.eye(4), depth=np.ones((4, 6)), masks=masks, mask_scores=scores)
+    expected = torch.from_numpy(image[:, ::-1].transpose(2, 0, 1).copy()).float().div(255).expand(3, -1, -1)
+    assert torch.equal(frame.image, expected)
+    assert torch.equal(frame.depth, torch.ones(4, 6))
+    assert torch.equal(frame.masks.labels(), Frame(expected, torch.eye(3), torch.eye(4), masks=torch.from_numpy(masks),
+                                                   mask_scores=torch.from_numpy(scores)).masks.labels())  # fmt: skip
+    assert torch.equal(Frame(expected.numpy(), np.eye(3), np.eye(4)).image, expected)  # channels may come first
+    with pytest.raises(TypeError, match="image: expected numbers, got an array of object"):
+        Frame(np.full((4, 6, 3), None), np.eye(3), np.eye(4))
 
 
 @pytest.mark.parametrize("shape", [(48, 64), (1, 48, 64)])

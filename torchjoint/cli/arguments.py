@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Sequence
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -139,3 +142,23 @@ class Reading(RecordingOptions):
 #: The command line's defaults.
 AS_IT_IS = Reading()
 FlatReading = tyro.conf.OmitArgPrefixes[Reading]
+
+
+def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
+    """Prints a script for a shell; docs/installation.md says where it belongs.
+
+    Args:
+        shell: bash or zsh.
+    """
+    from torchjoint.cli.main import COMMANDS
+
+    functions = {}
+    for name, command in COMMANDS.items():
+        module, _, function = command.function.partition(":")
+        functions[name] = getattr(import_module(module), function)
+    written = io.StringIO()
+    with redirect_stdout(written), suppress(SystemExit):
+        tyro.extras.subcommand_cli_from_dict(functions, prog="torchjoint", args=["--tyro-print-completion", shell])
+    # The script offers each line of a description as a word.
+    for line in written.getvalue().splitlines():
+        print(line.replace("\\n", " ") if line.startswith("COMPLETION_SPEC") else line)

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import io
 import os
 import sys
 import warnings
 from collections.abc import Mapping
 from concurrent.futures import BrokenExecutor
-from contextlib import redirect_stdout, suppress
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import version
-from typing import Literal, NamedTuple, NoReturn
-
-import tyro
+from typing import NamedTuple, NoReturn
 
 from torchjoint.runtime.files import cache_folder
 from torchjoint.runtime.messages import in_one_line, is_out_of_memory, on_terminal
@@ -45,10 +41,13 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
     if (cache := cache_folder()) is not None:  # else matplotlib writes its list of fonts to the home folder
         os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
     names = argparse.ArgumentParser(program, description=description, formatter_class=argparse.RawTextHelpFormatter)
-    names.add_argument("--version", action="version", version=f"{program} {version(program)}")
+    names.add_argument("-V", "--version", action="version", version=f"{program} {version(program)}")
     chosen = names.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
     for name, command in commands.items():
         chosen.add_parser(name, help=command.help, add_help=False)
+    if not sys.argv[1:]:
+        names.print_help()
+        return
     for word in sys.argv[1:2]:
         if word not in commands and (similar := get_close_matches(word, commands, 1)):
             names.error(f"no command {word!r}; did you mean {similar[0]!r}?")
@@ -82,26 +81,6 @@ def _tell(program: str, error: Exception) -> NoReturn:
     sys.exit(f"{program}: error: {in_one_line(error)}")
 
 
-def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
-    """Prints a script for a shell; docs/installation.md says where it belongs.
-
-    Args:
-        shell: bash or zsh.
-    """
-    from torchjoint.cli.main import COMMANDS
-
-    functions = {}
-    for name, command in COMMANDS.items():
-        module, _, function = command.function.partition(":")
-        functions[name] = getattr(import_module(module), function)
-    written = io.StringIO()
-    with redirect_stdout(written), suppress(SystemExit):
-        tyro.extras.subcommand_cli_from_dict(functions, prog="torchjoint", args=["--tyro-print-completion", shell])
-    # The script offers each line of a description as a word.
-    for line in written.getvalue().splitlines():
-        print(line.replace("\\n", " ") if line.startswith("COMPLETION_SPEC") else line)
-
-
 COMMANDS = {
     "demo": Command("torchjoint.cli.demo:demo", "segments a rendered room, and scores it; needs no data"),
     "segment": Command("torchjoint.cli.segment:segment", "segments a recording: posed frames, with or without a cloud"),
@@ -114,7 +93,7 @@ COMMANDS = {
     "label": Command("torchjoint.cli.label:label", "puts labels into the file of a cloud, a mesh or Gaussian splats"),
     "formats": Command("torchjoint.cli.arguments:formats", "lists the formats of recordings that can be read"),
     "parameters": Command("torchjoint.cli.arguments:parameters", "prints the parameters as tables"),
-    "completion": Command("torchjoint.cli.main:completion", "prints a script that completes commands in a shell"),
+    "completion": Command("torchjoint.cli.arguments:completion", "prints a script that completes commands in a shell"),
 }
 
 DESCRIPTION = """\

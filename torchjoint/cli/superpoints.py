@@ -38,7 +38,7 @@ def superpoints(
     buffer: float | None = None,
     engine: str | None = None,
 ) -> None:
-    """Segments a cloud into superpoints. LAS and LAZ files may have any size: see docs/tiles.md.
+    """Segments a cloud into superpoints. LAS and LAZ files may have any size: see docs/large.md.
 
     Args:
         cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes), .xyz, .txt, .asc, .csv, .pts, .las, .laz or

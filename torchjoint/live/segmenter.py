@@ -169,6 +169,10 @@ class LiveResult(NamedTuple):
     ids: Tensor  #: [S] int64, the lasting id of each segment
     changes: Changes  #: since the result before
 
+    def __repr__(self) -> str:
+        changes = ", ".join(f"{len(ids)} {name}" for name, ids in self.changes._asdict().items())
+        return f"LiveResult({len(self.cloud.points)} points, {len(self.ids)} things, {changes})"
+
     @property
     def labels(self) -> Tensor:
         """The lasting id of the thing of each point, [N] int64."""

@@ -6,8 +6,10 @@ The message calls the argument `name`, and says what was expected and what came.
 from __future__ import annotations
 
 import warnings
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -121,6 +123,14 @@ def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Te
     if labels.numel() and int(labels.min()) < -1:
         raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {int(labels.min())}")
     return labels
+
+
+def as_tensor(value: npt.NDArray[Any], name: str) -> Tensor:
+    """The tensor of a NumPy array; TypeError if its numbers have a type that tensors do not have."""
+    try:
+        return torch.from_numpy(np.ascontiguousarray(value))
+    except TypeError as error:
+        raise TypeError(f"{name}: expected numbers, got an array of {value.dtype}") from error
 
 
 def as_image(image: Tensor, name: str) -> Tensor:

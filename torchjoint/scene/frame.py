@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.scene.checks import as_float, as_image, as_intrinsics, as_labels, as_pose, check_shape
+from torchjoint.scene.checks import as_float, as_image, as_intrinsics, as_labels, as_pose, as_tensor, check_shape
 from torchjoint.scene.masks import Masks, as_masks
+
+#: A tensor or an array.
+Given = Tensor | npt.NDArray[Any]
 
 
 def camera_center(world_to_camera: Tensor) -> Tensor:
@@ -34,11 +40,12 @@ class PoseDoubt(PoseWarning):
 
 @dataclass(frozen=True)
 class Frame:
-    """One posed image.
+    """One posed image. Arguments may be tensors or NumPy arrays; the attributes are tensors.
 
     Args:
         image: [3, H, W] RGB in [0, 1]; uint8 images are divided by 255; a grey image ([H, W] or [1, H, W]) is
-            repeated three times.
+            repeated three times. A NumPy array may be [H, W, 3], as Pillow and imageio give it; OpenCV's are BGR:
+            ``image[..., ::-1]``.
         intrinsics: [3, 3] camera matrix in pixels of *this* image; pixel centres have integer coordinates.
         world_to_camera: [4, 4] rigid transform, metres, OpenCV axes. If your poses are camera-to-world, invert them.
         depth: optional [H, W], metres along the camera's z; 0 = unknown. It is used to check poses, and to fuse a cloud
@@ -65,8 +72,27 @@ class Frame:
     masks: Tensor | Masks | None = None
     mask_scores: Tensor | None = None
 
+    if TYPE_CHECKING:  # what comes in may be of NumPy, too
+
+        def __init__(
+            self,
+            image: Given,
+            intrinsics: Given,
+            world_to_camera: Given,
+            depth: Given | None = None,
+            labels: Given | None = None,
+            name: str = "",
+            masks: Given | Masks | None = None,
+            mask_scores: Given | None = None,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         set_ = lambda key, value: object.__setattr__(self, key, value)  # noqa: E731 (frozen: set once, here)
+        for spec in fields(self):
+            value: object = getattr(self, spec.name)
+            if isinstance(value, np.ndarray):
+                value = np.moveaxis(value, 2, 0) if spec.name == "image" and value.shape[2:] in ((1,), (3,)) else value
+                set_(spec.name, as_tensor(value, self._called(spec.name)))
         set_("image", as_image(self.image, self._called("image")))
         set_("intrinsics", as_intrinsics(self.intrinsics, self._called("intrinsics")))
         set_("world_to_camera", as_pose(self.world_to_camera, self._called("world_to_camera")))

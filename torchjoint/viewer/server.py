@@ -115,6 +115,8 @@ def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int
     Returns:
         a viser.ViserServer, the distance between the viewer and the scene's centre, metres, and the page's address.
     """
+    if not 0 < port < 1 << 16:
+        raise ValueError(f"port: expected 1 to 65535, got {port}")
     viser, token = import_viser(), secrets.token_urlsafe(24)
     from websockets.asyncio import server as sockets
 
