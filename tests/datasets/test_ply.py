@@ -87,6 +87,13 @@ def test_vertices_after_other_elements(tmp_path, order):
         read_ply(written(tmp_path / "a.ply", data + b"abc"))
 
 
+def test_packed_splats_are_told(tmp_path):
+    names = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+    lines = ("element vertex 1", *(f"property uint {name}" for name in names))
+    with pytest.raises(ValueError, match=r"a\.ply: expected splats with x, y and z, got packed ones of SuperSplat"):
+        read_ply(written(tmp_path / "a.ply", header("binary_little_endian", *lines) + bytes(16)))
+
+
 def test_faces_by_another_name_are_told(tmp_path):
     lines = (*VERTEX, "element face 1", "property list uchar int corners")
     with pytest.warns(UserWarning, match=r"a\.ply: element face: no list vertex_indices; triangles are not read"):

@@ -147,8 +147,8 @@ def _assembled(elements: Mapping[str, Columns], name: str) -> CloudFile:
     vertex = {name: column for name, column in elements.get("vertex", {}).items() if not isinstance(column, Lists)}
     if any(column.startswith("packed_") for column in vertex):
         raise ValueError(
-            "these are splats as SuperSplat packs them (.compressed.ply); expected splats with x, y and z: save them "
-            "as .ply (`splat-transform a.compressed.ply a.ply`, or SuperSplat's export)"
+            "expected splats with x, y and z, got packed ones of SuperSplat (.compressed.ply); save them as .ply "
+            "(`splat-transform a.compressed.ply a.ply`, or SuperSplat's export)"
         )
     cloud = cloud_of(vertex, name)
     if not len(cloud.points):
