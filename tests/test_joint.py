@@ -603,6 +603,13 @@ def test_each_frame_is_decoded_once(synthetic, many_frames, method, count):
     assert list(result.names) == [frame.name for frame in many_frames[:count]]
 
 
+def test_beams_without_return_are_told():
+    points = torch.rand(300, 3, generator=torch.Generator().manual_seed(0))
+    points[::3] = 0
+    with pytest.warns(UserWarning, match=r"points: 100 of 300 are exactly \(0, 0, 0\), as beams without return"):
+        tj.JointSegmenter().reset(points)
+
+
 def test_another_level(synthetic):
     fine, default = (tj.JointSegmenter(granularity=level)(synthetic.scene) for level in (0.8, 0.5))
     expected = default.at(0.8)

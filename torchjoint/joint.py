@@ -35,6 +35,7 @@ from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import ahead, on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene, Segmentation
+from torchjoint.scene.checks import without_return
 from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.segments.method import Method, choose_method, describe
 from torchjoint.views.evidence import Evidence, FrameEvidence, observe_frame
@@ -280,6 +281,12 @@ class JointSegmenter(nn.Module):
 
     def _reset(self, given: Cloud) -> None:
         self.stopwatch = Stopwatch()
+        if lost := int(without_return(given.points).sum()):
+            warnings.warn(
+                f"points: {lost} of {len(given.points)} are exactly (0, 0, 0), as beams without return; leave them "
+                "out, or they become a thing",
+                stacklevel=3,
+            )
         with one_thread_per_operation(), self.stopwatch("point graph"):
             self._given = given.points
             self._graph, self._method = prepare(given, self.config, self.merge_within, self._own_method)

@@ -19,7 +19,7 @@ from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import read_ply
 from torchjoint.datasets.files.readers import decode_image
 from torchjoint.masks.rle import polygon_pixels
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 
 #: What a program would be started with.
 PROGRAMS = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.startfile", "os.fork", "os.forkpty")

@@ -316,6 +316,6 @@ def test_other_json(folder, text, message):
 
 
 def test_too_large_a_file(folder, monkeypatch):
-    monkeypatch.setattr("torchjoint.runtime.foreign_files.JSON_BYTES", 100)
+    monkeypatch.setattr("torchjoint.runtime.bounds.JSON_BYTES", 100)
     with pytest.raises(ValueError, match=r"transforms\.json: expected at most 100 bytes of poses as of"):
         tj.load_scene(folder)

@@ -13,7 +13,7 @@ import torch
 import torchjoint as tj
 from torchjoint.datasets.files.exr import read_exr
 from torchjoint.datasets.files.lzfse import decompress
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 
 
 @pytest.fixture

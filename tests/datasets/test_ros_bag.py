@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from torchjoint.datasets.files import ros_bag
 from torchjoint.datasets.files.ros_bag import Bag, unpack
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 
 TEXT = "a" * 300_000  # packs well
 TYPE = "std_msgs/msg/String"

@@ -11,7 +11,7 @@ import traps
 import torchjoint as tj
 from torchjoint.datasets import recording
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 
 CLEAR = (ValueError, FileNotFoundError, TypeError)
 

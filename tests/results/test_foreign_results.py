@@ -16,8 +16,8 @@ from PIL import Image
 import torchjoint as tj
 from torchjoint.results.boxes import read_boxes
 from torchjoint.results.checkpoint import Checkpoint
-from torchjoint.runtime.files import read_values, write_checked, write_values
-from torchjoint.runtime.store import Packed, pack
+from torchjoint.runtime.files import write_checked
+from torchjoint.runtime.store import Packed, pack, read_values, write_values
 from torchjoint.views.evidence import Evidence
 
 CANNOT = "cannot be read"

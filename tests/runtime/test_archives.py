@@ -36,7 +36,7 @@ def test_an_array_that_declares_more_than_there_is(tmp_path):
 
 
 def test_an_archive_that_inflates(tmp_path, monkeypatch):
-    monkeypatch.setattr("torchjoint.runtime.foreign_files.FREE", 0)
+    monkeypatch.setattr("torchjoint.runtime.bounds.FREE", 0)
     path = declared(tmp_path / "a.npz", (100_000, 3), bytes(1_200_000))
     with pytest.raises(ValueError, match=r"expected at most \d+ bytes when \d+ bytes are unpacked, got 1200128"):
         read_archive(path)

@@ -25,7 +25,7 @@ from torchjoint.config.stages import (
     ScanConfig,
     VisibilityConfig,
 )
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, read_text
 
 T = TypeVar("T")

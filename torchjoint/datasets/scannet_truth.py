@@ -13,7 +13,7 @@ from torchjoint.datasets.cameras import resize_nearest
 from torchjoint.datasets.files.members import Members
 from torchjoint.datasets.files.readers import decode_image, labels_of, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame

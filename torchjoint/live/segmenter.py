@@ -25,11 +25,10 @@ from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
 from torchjoint.joint import developed, prepare
 from torchjoint.labels.label import label
 from torchjoint.labels.lasting_ids import Changes, LastingIds
-from torchjoint.runtime.files import read_values, write_values
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.memory import as_bytes, give_back
 from torchjoint.runtime.messages import Stopwatch
-from torchjoint.runtime.store import Packed, SpillFile, pack
+from torchjoint.runtime.store import Packed, SpillFile, pack, read_values, write_values
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Masks, Segmentation
 from torchjoint.scene.checks import as_float, as_pose, check_shape

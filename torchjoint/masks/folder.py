@@ -20,7 +20,7 @@ from torchjoint.masks.arrays import as_binary, as_scores, from_labels
 from torchjoint.masks.coco import CocoFile
 from torchjoint.masks.networks import from_sam
 from torchjoint.masks.segmentation import Pixels, merged, pixels_of
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import DAMAGE, has_file, has_folder, is_there, read_json, read_text

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 
 #: Most characters of a compressed number: 35 bits are more than an image has pixels.
 _DIGITS = 7

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchjoint.masks.arrays import as_binary
 from torchjoint.masks.rle import declared_pixels, polygon_pixels, rle_pixels, work_of
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.scene.masks import Masks
 
 Size = tuple[int, int]

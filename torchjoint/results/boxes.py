@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from torchjoint.results.objects import oriented_box
 from torchjoint.results.result import Result
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import read_json, read_text
 from torchjoint.runtime.messages import printable
 

@@ -12,9 +12,10 @@ from pathlib import Path
 import yaml
 
 from torchjoint.config import Config
-from torchjoint.runtime import foreign_files as bounds
-from torchjoint.runtime.files import read_values, write_text, write_values
+from torchjoint.runtime import bounds
+from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import has_file, read_text
+from torchjoint.runtime.store import read_values, write_values
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations, PackedObservation
 

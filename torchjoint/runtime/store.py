@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import math
 import mmap
 import os
+import pickletools
+import re
 import tempfile
 import weakref
+import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +23,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
+from torchjoint.runtime.files import read_checked, write_checked
+from torchjoint.runtime.foreign_files import damage_is
 
 _LEVEL, _WINDOW_BITS, _MEMORY = 1, 15, 9
 _TYPES = {str(dtype).removeprefix("torch."): dtype for dtype in (torch.uint8, torch.int32, torch.int64, torch.float32)}
@@ -27,6 +33,10 @@ _TYPES = {str(dtype).removeprefix("torch."): dtype for dtype in (torch.uint8, to
 
 #: How numbers are stored, and a limit of what was subtracted from them.
 _STORED, _FAR = ("u1", "<u2", "<i4", "<i8"), 1 << 62
+#: What the pickle of a state may name.
+_CALLED = re.compile(
+    r"torch\._utils _rebuild_tensor_v[23]|torch(\.storage)? \w+Storage|torch [a-z]+[0-9]*|collections OrderedDict"
+)
 
 
 class Content(Protocol):
@@ -207,3 +217,55 @@ def _default_folder() -> Path:
     if os.environ.get("TMPDIR") or not os.access(chosen, os.W_OK | os.X_OK):
         return Path(tempfile.gettempdir())
     return chosen
+
+
+def write_values(path: Path, values: Mapping[str, Any]) -> None:
+    """Writes a dict of tensors, numbers and texts, atomically."""
+    content = io.BytesIO()
+    torch.save(values, content)
+    write_checked(path, content.getvalue())
+
+
+def read_values(path: Path) -> dict[str, Any]:
+    """Reads what :func:`write_values` wrote. No code in it is run, and it is not larger than its file."""
+    content = read_checked(path)
+    with damage_is(f"{path}: not a saved state", Exception):  # torch raises errors of many types
+        _check_pickle(content)
+        values = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        if not isinstance(values, dict):
+            raise TypeError(f"expected a dict, got {type(values).__name__}")
+        _check_size(values, len(content))
+    return values
+
+
+def _check_pickle(content: bytes) -> None:
+    """Checks that nothing is packed, and that the pickle calls for tensors only: torch also makes large bytearrays."""
+    if not content.startswith(b"PK"):  # torch would read an older format
+        raise ValueError("expected an archive")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        stored = sum(entry.file_size for entry in archive.infolist())
+        bounds.check(stored, len(content), "bytes, for torch packs nothing,")
+        for entry in archive.infolist():
+            for code, argument, _ in pickletools.genops(archive.read(entry)) if entry.filename.endswith(".pkl") else ():
+                if code.name in ("STACK_GLOBAL", "INST") or (
+                    code.name == "GLOBAL" and not _CALLED.fullmatch(str(argument))
+                ):
+                    raise ValueError(f"expected tensors, numbers and texts, got {argument or code.name}")
+
+
+def _check_size(values: dict[str, Any], most: int) -> None:
+    """Checks how large values are together: a list or a tensor may hold the same bytes many times."""
+    left: list[Any] = [values]
+    count = size = 0
+    while left:
+        one, count = left.pop(), count + 1
+        bounds.check(count, most, "values")
+        if isinstance(one, Tensor):
+            if one.layout != torch.strided or one.is_quantized:
+                raise TypeError(f"expected plain tensors, got {one.layout}")
+            size += one.numel() * one.element_size()
+            bounds.check(size, 4 * most, "bytes of tensors")  # three times is a grey image
+        elif isinstance(one, dict):
+            left += one.values()
+        elif isinstance(one, (list, tuple)):
+            left += one

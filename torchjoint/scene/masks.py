@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_float, as_labels, check_shape
 

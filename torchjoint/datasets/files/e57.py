@@ -16,7 +16,7 @@ import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.files.columns import CloudFile
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import present
 from torchjoint.runtime.messages import needed_for
 from torchjoint.scene.cloud import full_brightness

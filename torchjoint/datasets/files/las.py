@@ -21,7 +21,7 @@ import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.files.columns import CloudFile, tell_not_read, unit_colors
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.runtime.messages import needed_for
 

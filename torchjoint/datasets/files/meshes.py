@@ -23,7 +23,7 @@ from torch.nn.functional import normalize
 from torchjoint.datasets.files.columns import CloudFile, unit_colors
 from torchjoint.datasets.files.readers import RASTERS, decode_image
 from torchjoint.datasets.files.text import path_inside
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, parse_json, read_file
 from torchjoint.runtime.messages import needed_for
 

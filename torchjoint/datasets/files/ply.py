@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.columns import CloudFile, cloud_of
 from torchjoint.datasets.files.text import parse_integer
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import damage_is, read_file
 

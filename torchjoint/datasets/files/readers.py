@@ -18,7 +18,7 @@ from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
 from torchjoint.datasets.files import las
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.archives import as_int64, read_npy
 from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, is_there, present, read_file, read_text
 

@@ -16,7 +16,7 @@ from threading import Lock
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder, present, read_file
 from torchjoint.runtime.messages import needed_for
 

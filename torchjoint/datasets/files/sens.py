@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.readers import decode_image, rgb_of
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.scene.checks import as_intrinsics
 

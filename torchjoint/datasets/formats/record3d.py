@@ -29,7 +29,7 @@ from torchjoint.datasets.files.members import Members
 from torchjoint.datasets.files.readers import decode_image, rgb_of
 from torchjoint.datasets.files.text import Record, parse_record
 from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
-from torchjoint.runtime import foreign_files as bounds
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.mat_files import read_matrices
 from torchjoint.datasets.files.readers import read_array
-from torchjoint.runtime.foreign_files import PIXELS
+from torchjoint.runtime.bounds import PIXELS
 
 SUFFIXES = (".mat", ".npy")
 
