@@ -228,7 +228,8 @@ class JointSegmenter(nn.Module):
         done = len(self.state.observations)
         rest = range(done, len(scene.frames))
         batches = workers(self, scene) if workers else self._batches(scene.frames, rest, checked, batch_size)
-        with tqdm(total=len(scene.frames), initial=done, desc="frames", unit="frame", disable=not progress) as bar:
+        shown = progress and len(scene.frames) > 0
+        with tqdm(total=len(scene.frames), initial=done, desc="frames", unit="frame", disable=not shown) as bar:
             yield done
             for seen in batches:
                 self.state += seen
@@ -352,8 +353,10 @@ class JointSegmenter(nn.Module):
             self._check.warn()
         evidence.check_seen()
         with one_thread_per_operation():
-            with self.stopwatch("point segments"):
+            steps = tqdm(total=1, desc="points", unit="step", disable=not progress)
+            with self.stopwatch("point segments"), steps:
                 tree = method.segment(graph, evidence, config)
+                steps.update()
             found = label(tree, graph, evidence, config, self.stopwatch, images=images, progress=progress)
         return found if self.granularity == 0.5 else found.at(self.granularity)
 

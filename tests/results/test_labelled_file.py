@@ -1,5 +1,6 @@
 """Labels in the files of others: clouds, meshes, Gaussian splats."""
 
+import csv
 import re
 
 import laspy
@@ -285,6 +286,21 @@ class TestSurvey:
     def test_export(self, survey, run, tmp_path):
         run("export", survey[1], "--format", "las", "-o", tmp_path / "out.laz")
         self.check(survey[0], tmp_path / "out.laz", survey[1])
+
+    def test_table(self, survey, run, tmp_path):
+        """A line for each segment, with its place in the coordinates of the survey."""
+        run("export", survey[1], "--format", "csv", "-o", tmp_path / "out.csv")
+        rows = list(csv.DictReader((tmp_path / "out.csv").read_text().splitlines()))
+        result = tj.load_result(survey[1])
+        assert [int(row["id"]) for row in rows] == list(range(result.num_point_segments))
+        for row in rows:
+            points = result.scene.points[result.points == int(row["id"])].double()
+            low, high = points.amin(0), points.amax(0)
+            assert int(row["points"]) == len(points)
+            assert float(row["z"]) == pytest.approx(float(low[2] + high[2]) / 2, abs=0.01)
+            assert all(low[axis] - 1 < float(row["xyz"[axis]]) < high[axis] + 1 for axis in range(3))
+            assert float(row["size_z"]) == pytest.approx(float(high[2] - low[2]), abs=0.01)
+            assert float(row["confidence"]) == pytest.approx(float(result.confidence[int(row["id"])]), abs=1e-4)
 
     def test_the_file_is_gone(self, survey, run, tmp_path):
         moved = survey[0].rename(tmp_path / "moved.laz")

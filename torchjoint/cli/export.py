@@ -30,6 +30,7 @@ def export(
         "ply",
         "las",
         "npz",
+        "csv",
         "scannet",
         "masks",
         "openmask3d",
@@ -51,13 +52,14 @@ def export(
         result: folder that `torchjoint segment` wrote.
         format: coco: COCO's JSON of instances, for all images; sam: a JSON for each image, as in SA-1B; ply: a cloud
             for each segment; las: the .las or .laz that was segmented, with all that it has, and the dimensions `label`
-            and `confidence` (other clouds: points, colours and these); npz: all labels as arrays;
-            scannet: instances as its benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an
-            archive with pred_masks, pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings,
-            SCENE_openmask3d_features.npy; graph: what stands on what, as "relations" in RESULT/segments.json, without
-            corrections; openpcdet, labelcloud, segmentsai-cuboids, cvat: upright boxes with names, for networks of
-            detection and for annotation; segmentsai: the label of each point, for annotation (`torchjoint edits import`
-            brings boxes and labels back). coco, sam and las need `pip install 'torchjoint[export]'`.
+            and `confidence` (other clouds: points, colours and these); npz: all labels as arrays; csv: a line for each
+            segment: name, points, place, size, confidence; scannet: instances as its benchmark reads them, SCENE.txt
+            and predicted_masks/; masks: the same as an archive with pred_masks, pred_score and pred_classes;
+            openmask3d: SCENE_masks.pt and the saved embeddings, SCENE_openmask3d_features.npy; graph: what stands on
+            what, as "relations" in RESULT/segments.json, without corrections; openpcdet, labelcloud,
+            segmentsai-cuboids, cvat: upright boxes with names, for networks of detection and for annotation;
+            segmentsai: the label of each point, for annotation (`torchjoint edits import` brings boxes and labels
+            back). coco, sam and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
             the format's suffix.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.

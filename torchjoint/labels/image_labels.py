@@ -43,7 +43,7 @@ def label_images(
     numbers = None if hierarchy is None else PieceNumbers.of(hierarchy)
     known: dict[int, Packed] = {}
     sizes = torch.bincount(point_labels)
-    bar = tqdm(total=len(seen), desc="images", unit="frame", disable=not progress)
+    bar = tqdm(total=len(seen), desc="images", unit="frame", disable=not (progress and len(seen)))
 
     def refine(index: int) -> tuple[Packed, int]:
         observation = seen[index]

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from torchjoint.results.exports.boxes import (
+    export_csv,
     export_cuboids,
     export_cvat,
     export_labelcloud,
@@ -26,6 +27,7 @@ FORMATS: dict[str, Callable[[Path, Result], None]] = {
     "ply": export_ply,
     "las": export_las,
     "npz": export_npz,
+    "csv": export_csv,
     "scannet": export_scannet,
     "masks": export_masks,
     "openmask3d": export_openmask3d,
@@ -40,6 +42,7 @@ SUFFIXES = {
     "coco": ".json",
     "las": ".las",
     "npz": ".npz",
+    "csv": ".csv",
     "masks": ".npz",
     "openpcdet": ".txt",
     "labelcloud": ".json",

@@ -1,4 +1,4 @@
-"""Boxes of the segments, for programs of annotation and networks of detection: see :mod:`torchjoint.results.boxes`.
+"""Boxes of the segments, for tables, programs of annotation and networks: see :mod:`torchjoint.results.boxes`.
 
 Labels of points for such a program are here, too; :mod:`torchjoint.results.shared_edits` reads them.
 """
@@ -18,13 +18,30 @@ from torchjoint.results.boxes import (
     segmentsai_label,
     segmentsai_object,
 )
+from torchjoint.results.objects import segment_records
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.files import write_text
+from torchjoint.runtime.foreign_files import csv_text
 from torchjoint.runtime.threads import on_cpu
 
 #: The scene's upward direction may differ from z by this angle, degrees.
 LEVEL = 10.0
+
+
+#: The columns of the table of segments; lengths in metres, places in the coordinates of the cloud.
+COLUMNS = ("id", "name", "points", "x", "y", "z", "size_x", "size_y", "size_z", "confidence")
+
+
+@on_cpu()
+def export_csv(path: Path, result: Result) -> None:
+    """Writes a line for each segment: COLUMNS; x, y, z is the middle of its upright box, size its sides."""
+    rows: list[tuple[object, ...]] = [COLUMNS]
+    for one in segment_records(result.scene, result):
+        lengths = [round(float(value), 4) for value in (*one.box.center, *one.box.size)]
+        sure = "" if one.confidence is None else round(one.confidence, 4)
+        rows.append((one.id, result.segment_names.get(one.id, ""), one.points, *lengths, sure))
+    write_text(path, csv_text(rows))
 
 
 @on_cpu()
