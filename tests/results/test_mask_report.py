@@ -1,6 +1,7 @@
 """masks.json: which segment each mask became, and what lies in masks."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,9 @@ from folder_files import write_folder
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import read_ply
+from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.inputs import write_inputs
+from torchjoint.results.parts import Parts
 from torchjoint.scene import LabelImages
 
 EVERYTHING = tj.masks.from_stack(torch.ones(1, 120, 160, dtype=torch.bool))
@@ -112,6 +115,19 @@ class TestARun:
         true = synthetic.point_labels == thing
         assert float((own & true).sum() / (own | true).sum()) > 0.5
         assert {mask["id"] for frame in found["frames"] for mask in frame["masks"]} == {4}
+        assert tj.load_result(out).segment_names == {segment["id"]: "it" for segment in named}
+
+    def test_a_name_by_hand_counts_more(self, out, run, tmp_path):
+        copy = shutil.copytree(out, tmp_path / "out")
+        plain = tj.load_result(copy)
+        (segment, *_), parts = plain.segment_names, Parts(plain)
+        pieces = tuple(np.flatnonzero(parts.stored == segment).tolist())
+        for name, expected in (("sofa", "sofa"), ("", None)):
+            write_edits(copy, Edits(parts.count, steps=(Edit("name", pieces[:1], name),)))
+            loaded = tj.load_result(copy)
+            assert loaded.segment_names.get(segment) == expected
+            run("export", copy, "--format", "csv", "-o", tmp_path / "a.csv", "--overwrite")
+            assert (",sofa," in (tmp_path / "a.csv").read_text()) == (expected is not None)
 
     def test_an_export_of_what_is_masked(self, out, run, tmp_path):
         kept = [s["id"] for s in json.loads((out / "masks.json").read_text())["segments"] if s["masked"] >= 0.5]
@@ -120,8 +136,10 @@ class TestARun:
         stored = tj.load_result(out, edits=False).points.numpy()
         assert (labels == np.where(np.isin(stored, kept), stored, -1)).all()
         run("export", out, "--format", "ply", "-o", tmp_path / "ply", "--only-masked")
-        assert sorted(int(file.stem) for file in (tmp_path / "ply").iterdir()) == kept
-        assert len(read_ply(tmp_path / "ply" / f"{kept[0]:06d}.ply").points) == (stored == kept[0]).sum()
+        written = {int(file.stem.removesuffix("-it")): file for file in (tmp_path / "ply").iterdir()}
+        assert sorted(written) == kept
+        assert any(file.stem.endswith("-it") for file in written.values())
+        assert len(read_ply(written[kept[0]]).points) == (stored == kept[0]).sum()
 
     def test_errors(self, out, run, tmp_path):
         with pytest.raises(SystemExit, match="--only-masked: expected no --granularity"):

@@ -119,6 +119,8 @@ def _parts(merges: SplitTable, count: int) -> SplitTable:
 
 
 FILE = "edits.json"
+#: Most characters of a segment's name.
+LONGEST = 200
 Table = npt.NDArray[np.int64]
 
 

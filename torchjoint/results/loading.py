@@ -10,6 +10,7 @@ from torchjoint.results.embeddings import read_embeddings
 from torchjoint.results.folder import read_config, read_points, read_record, read_result
 from torchjoint.results.inputs import CAMERAS, read_inputs
 from torchjoint.results.manifest import open_manifest, unchecked
+from torchjoint.results.mask_report import names_of_masks
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import has_file
@@ -54,7 +55,8 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name)
     values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
     vectors = read_embeddings(folder, len(stored.points))
-    result = Result(**values, scene=scene, config=config, saved_embeddings=vectors)
+    names = names_of_masks(folder)
+    result = Result(**values, scene=scene, config=config, saved_embeddings=vectors, segment_names=names)
     if not edits or not has_file(folder / FILE):
         return result
     return edited(result, read_edits(folder, Parts(result).count))

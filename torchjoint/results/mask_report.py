@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.results.edits import LONGEST
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
@@ -99,6 +100,15 @@ def count_masks(folder: Path) -> tuple[int, int] | None:
         return None
     masks = [mask["iou"] for frame in _read(folder)["frames"] for mask in frame["masks"]]
     return sum(iou >= FOUND for iou in masks), len(masks)
+
+
+def names_of_masks(folder: Path) -> dict[int, str]:
+    """The name that most masks of each segment have, of those that became it; nothing without masks.json."""
+    if not has_file(folder / FILE):
+        return {}
+    with damage_is(f"{folder / FILE}: not the masks of this result"):
+        named = {int(one["id"]): one["names"] for one in _read(folder)["segments"] if one["names"]}
+        return {segment: str(max(names, key=names.get))[:LONGEST] for segment, names in named.items()}
 
 
 def select_masked(folder: Path, result: Result) -> Result:

@@ -63,13 +63,15 @@ class Parts:
         """The names of segments after the edits, by the number of a segment in :meth:`table`.
 
         A name belongs to the segment that got it, at its level and after all edits, and to the segments within it. Of
-        several names, that of the smallest named segment counts, then the latest.
+        several names, that of the smallest named segment counts, then the latest. Names of the result, which masks
+        gave, count less.
         """
         steps = [step for step in edits.steps if step.kind == "name"]
         levels = {level: self.table(replace(edits, granularity=level)) for level in {one.granularity for one in steps}}
         named = [(levels[step.granularity] == levels[step.granularity][step.pieces[0]], step.name) for step in steps]
         table, names = self.table(edits), dict[int, str]()
-        for pieces, name in sorted(named, key=lambda one: -int(one[0].sum())):
+        given = [(self.stored == segment, name) for segment, name in self.result.segment_names.items()]
+        for pieces, name in given + sorted(named, key=lambda one: -int(one[0].sum())):
             names.update(dict.fromkeys(np.setdiff1d(table[pieces], table[~pieces]).tolist(), name))
         return {segment: name for segment, name in names.items() if name}
 

@@ -17,7 +17,7 @@ from PIL import Image
 from torch import Tensor
 
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.results.edits import Edit, Edits, Table, place_to_split
+from torchjoint.results.edits import LONGEST, Edit, Edits, Table, place_to_split
 from torchjoint.results.exports.masks import export_coco
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
@@ -54,8 +54,6 @@ def _at_level(result: Result, level: float | None) -> Result:
 
 Bytes = npt.NDArray[np.uint8]
 Mode = Literal["segments", "colours", "confidence", "initial", "truth"]
-#: Most characters of a segment's name.
-LONGEST = 200
 
 
 class Model:
