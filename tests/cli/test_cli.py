@@ -279,7 +279,7 @@ def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr("torchjoint.results.folder.overview", overview)
     added = []
-    monkeypatch.setattr(tj.JointSegmenter, "add", lambda self, frames: added.append(frames))
+    monkeypatch.setattr("torchjoint.joint.observe", lambda frames, *_: added.append(frames))
     run("segment", recording, "-o", again, *SMALL, "refinement.color_weight=90")
     assert added == []
     for file in ("points.npz", "hierarchy.npz", "points.ply", "overview.png"):

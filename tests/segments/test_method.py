@@ -70,9 +70,9 @@ def test_auto_and_what_it_chose_store_the_same(street, room):
     for cloud, chosen, other in ((street, "scan", "learned"), (room.points, "learned", "scan")):
         for first, second in ((AUTO, f"point_segments.method={chosen}"), (AUTO, "point_segments.method=auto")):
             seen = reset(first, cloud)
-            copy = seen.compute(config=first.set([second]))
-            assert torch.equal(copy.compute().points, seen.compute().points)
-            assert torch.equal(copy.compute(config=AUTO).points, seen.compute().points)
+            expected = seen.compute().points
+            for config in (first.set([second]), AUTO):
+                assert torch.equal(seen.compute(config=config).points, expected)
         with pytest.raises(ValueError, match=r"stored evidence depends on point_segments\.method"):
             reset(AUTO, cloud).compute(config=AUTO.set([f"point_segments.method={other}"]))
 
