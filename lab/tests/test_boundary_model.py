@@ -144,7 +144,7 @@ def test_from_scenes_to_segments(prepared, tmp_path, set_threads):
     save_boundary_model(tmp_path / "a.npz", model)
     loaded = load_boundary_model(tmp_path / "a.npz")
     evidence = prepared[0].evidence
-    segments = build_hierarchy(evidence, loaded).at()
+    segments = build_hierarchy(evidence, loaded).cut(0.5)
     assert 1 < int(segments.max()) + 1 < int(evidence.piece.max()) + 1
     set_threads(1)
     save_boundary_model(tmp_path / "b.npz", fit_boundary_model(prepared, QUICK))
