@@ -1,4 +1,4 @@
-"""Data that do not fit into memory: packed without loss, and in a temporary file."""
+"""Data that do not fit into memory: packed without loss, in a temporary file; and states of runs in files."""
 
 from __future__ import annotations
 
