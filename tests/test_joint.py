@@ -1,6 +1,7 @@
 """The whole method: same labels however it is run, and right answers or clear errors at the edges."""
 
 import dataclasses
+import pickle
 import warnings
 
 import pytest
@@ -9,12 +10,14 @@ from torch import nn
 from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
+from torchjoint.cloud.graph import build_edgeless_graph
 from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.recordings.segment import run
 from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.scene.frame import PoseWarning
+from torchjoint.segments.method import LEARNED
 from torchjoint.segments.scan.method import segment_scan
 from torchjoint.views.pose_check import NUM_FRAMES, PoseCheck
 
@@ -601,6 +604,41 @@ def test_each_frame_is_decoded_once(synthetic, many_frames, method, count):
     result = segmenter(dataclasses.replace(synthetic.scene, frames=frames), batch_size=4)
     assert frames.decoded == [1] * count
     assert list(result.names) == [frame.name for frame in many_frames[:count]]
+
+
+@pytest.mark.parametrize("method", ["learned", "paper", "scan"])
+def test_a_segmenter_can_be_pickled(synthetic, method):
+    segmenter = tj.JointSegmenter(CONFIG.set([f"point_segments.method={method}"]))
+    segmenter.reset(synthetic.scene.points)
+    segmenter.update(synthetic.scene.frames[:2])
+    again = pickle.loads(pickle.dumps(segmenter))
+    assert torch.equal(again.compute(images=False).points, segmenter.compute(images=False).points)
+
+
+def test_what_cannot_be_is_told_before_all_frames(synthetic):
+    with pytest.raises(ValueError, match=r"granularity: expected 0\.5, because method paper has one level"):
+        tj.JointSegmenter(PAPER, granularity=0.3).reset(synthetic.scene.points)
+    with pytest.raises(TypeError, match=r"method: expected a torchjoint\.segments\.method\.Method, got function"):
+        tj.JointSegmenter(method=lambda config, points: None)
+    segmenter = tj.JointSegmenter(CONFIG)
+    segmenter.reset(synthetic.scene.points)
+    with pytest.raises(TypeError, match="config: expected a Config, got str"):
+        segmenter.compute(config="paper")
+    bare = LEARNED._replace(prepare=lambda cloud, config, _: build_edgeless_graph(cloud))
+    with pytest.raises(
+        ValueError, match="method: learned.prepare gave a graph of 0 points, expected its `of_given` of"
+    ):
+        tj.JointSegmenter(method=bare).reset(synthetic.scene.points)
+
+
+def test_steps_under_another_default_device(synthetic):
+    segmenter = tj.JointSegmenter(CONFIG, memory=0)
+    torch.set_default_device("meta")
+    try:
+        assert list(segmenter.steps(synthetic.scene, batch_size=3)) == [0, 3, 6]
+    finally:
+        torch.set_default_device(None)
+    assert len(segmenter.compute(images=False).points) == len(synthetic.scene.points)
 
 
 def test_beams_without_return_are_told():

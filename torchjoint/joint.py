@@ -62,6 +62,11 @@ def prepare(
     distinct, of_given = without_copies(cloud)
     method = method or choose_method(config, distinct.points)
     graph = method.prepare(distinct, config, merge_within)
+    if len(graph.of_given) != len(distinct.points):
+        raise ValueError(
+            f"method: {method.name}.prepare gave a graph of {len(graph.of_given)} points, expected its `of_given` of "
+            f"{len(distinct.points)}; see PointGraph.of"
+        )
     return graph if of_given is None else graph.of(graph.local, graph.of_given[of_given]), method
 
 
@@ -146,6 +151,8 @@ class JointSegmenter(nn.Module):
     ) -> None:
         super().__init__()
         check_granularity(granularity)
+        if method is not None and not isinstance(method, Method):
+            raise TypeError(f"method: expected a torchjoint.segments.method.Method, got {type(method).__name__}")
         if config is not None and not isinstance(config, Config):
             raise TypeError(
                 f"config: expected a Config, got {type(config).__name__}; see JointSegmenter.from_preset('paper')"
@@ -222,9 +229,7 @@ class JointSegmenter(nn.Module):
         Yields:
             the number of frames in the state, before the first batch and after each one.
         """
-        checked = self._start(scene)
-        if resume is not None:
-            self.state = resume(self._store()) or self.state
+        checked = self._start(scene, resume)
         done = len(self.state.observations)
         rest = range(done, len(scene.frames))
         batches = workers(self, scene) if workers else self._batches(scene.frames, rest, checked, batch_size)
@@ -232,14 +237,18 @@ class JointSegmenter(nn.Module):
         with tqdm(total=len(scene.frames), initial=done, desc="frames", unit="frame", disable=not shown) as bar:
             yield done
             for seen in batches:
-                self.state += seen
+                self._add(seen)
                 bar.update(len(self.state.observations) - done)
                 done = len(self.state.observations)
                 yield done
 
     @on_cpu()
-    def _start(self, scene: Scene) -> dict[int, Frame]:
-        """Resets to a scene's cloud, and checks its poses; gives the frames that the check has read, by index."""
+    def _add(self, seen: Evidence | Sequence[FrameEvidence]) -> None:
+        self.state += seen
+
+    @on_cpu()
+    def _start(self, scene: Scene, resume: Callable[[Observations], Evidence | None] | None) -> dict[int, Frame]:
+        """Resets to a scene's cloud, checks its poses, and resumes; gives the frames that the check has read."""
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
         self._reset(scene.cloud)
@@ -248,6 +257,11 @@ class JointSegmenter(nn.Module):
             check = self._new_check(scene.name)
             check.look_at(checked.values())
             check.warn()
+        if resume is not None:
+            self.state = resume(self._store()) or self.state
+        done = len(self.state.observations)
+        if done < len(scene.frames) and not self.method.uses_images:
+            _tell_unused(checked.get(done) or scene.frames[done], self.method)
         return checked
 
     def _batches(
@@ -291,6 +305,8 @@ class JointSegmenter(nn.Module):
         with one_thread_per_operation(), self.stopwatch("point graph"):
             self._given = given.points
             self._graph, self._method = prepare(given, self.config, self.merge_within, self._own_method)
+            if self.granularity != 0.5 and not self._method.has_levels:
+                raise ValueError(f"granularity: expected 0.5, because method {self._method.name} has one level")
             if self._graph.known_spacing is not None:
                 warn_of_rounding(given.points, self._graph.known_spacing)
             if logger.isEnabledFor(logging.INFO):
@@ -319,11 +335,11 @@ class JointSegmenter(nn.Module):
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         self._check = self._check or self._new_check()
         self._check.look_as_they_come(frames)
+        if not self.state.observations and frames and not self.method.uses_images:
+            _tell_unused(frames[0], self.method)
         self.state += self._observed(frames)
 
     def _observed(self, frames: Sequence[Frame]) -> list[FrameEvidence]:
-        if not self.state.observations and frames:
-            _tell_unused(frames[0], self.method)
         return observe(frames, self.graph, self.config, self.image_segmenter, self.stopwatch)
 
     @torch.no_grad()
@@ -348,16 +364,19 @@ class JointSegmenter(nn.Module):
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
+        if config is not None and not isinstance(config, Config):
+            raise TypeError(f"config: expected a Config, got {type(config).__name__}")
         graph, evidence, config, method = self.graph, self.state, config or self.config, self._method_of(config)
         if self._check is not None:
             self._check.warn()
         evidence.check_seen()
         with one_thread_per_operation():
-            steps = tqdm(total=1, desc="points", unit="step", disable=not progress)
-            with self.stopwatch("point segments"), steps:
+            clock = Stopwatch()  # of this result: others may follow
+            clock.add(self.stopwatch.seconds)
+            with clock("point segments"), tqdm(total=1, desc="points", unit="step", disable=not progress) as bar:
                 tree = method.segment(graph, evidence, config)
-                steps.update()
-            found = label(tree, graph, evidence, config, self.stopwatch, images=images, progress=progress)
+                bar.update()
+            found = label(tree, graph, evidence, config, clock, images=images, progress=progress)
         return found if self.granularity == 0.5 else found.at(self.granularity)
 
     def _method_of(self, config: Config | None) -> Method:
@@ -415,6 +434,7 @@ class JointSegmenter(nn.Module):
         self.state.check_cloud(state, "state")
         self._state = state
 
+    @on_cpu()
     def merge(self, other: JointSegmenter) -> None:
         """Adds the evidence of another segmenter, which saw other frames of the same cloud with the same config.
 
@@ -437,8 +457,6 @@ class JointSegmenter(nn.Module):
 
 def _tell_unused(frame: Frame, method: Method) -> None:
     """Logs that images do not affect the segments of the points; warns if frames have masks or labels for this."""
-    if method.uses_images:
-        return
     name = method.name
     logger.info(f"frames: method {name} segments the points without images; images only get the points' labels")
     given = "masks" if frame.masks is not None else "labels" if frame.labels is not None else ""

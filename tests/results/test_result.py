@@ -1,5 +1,6 @@
 """A result that others can use: read back with its frames, measured, cropped, exported."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -257,3 +258,14 @@ class TestExports:
         with pytest.raises(SystemExit, match=r"holds more than \.ply files"):
             export("ply", "--overwrite")
         assert (folder / "thesis.tex").read_text() == "precious"
+
+
+def test_names_at_other_levels():
+    """A part of a cup is a cup; a cup and a box together have no name."""
+    piece, merges = torch.tensor([0, 0, 1, 2]), torch.tensor([[0, 1], [0, 2]])
+    hierarchy = tj.Hierarchy(piece, merges, torch.tensor([0.3, 0.7], dtype=torch.float64))
+    result = tj.Result.of(tj.Segmentation(hierarchy.at(), (), hierarchy=hierarchy), tj.Scene(torch.rand(4, 3)))
+    named = dataclasses.replace(result, segment_names={0: "cup", 1: "box"})
+    assert named.at(1.0).segment_names == {0: "cup", 1: "cup", 2: "box"}
+    assert named.at(0.5).segment_names == {0: "cup", 1: "box"}
+    assert named.at(0.0).segment_names == {}

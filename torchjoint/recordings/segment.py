@@ -193,8 +193,9 @@ def run(
     """``segmenter(scene)`` that saves its state from time to time, and goes on from a saved one; arguments as above."""
     workers = None if engine is None else evidence_of_chunks(engine)
     steps = segmenter.steps(scene, progress=progress, batch_size=batch_size, resume=checkpoint.load, workers=workers)
-    for _ in steps:
-        checkpoint.save(segmenter.state)
+    for number, _ in enumerate(steps):
+        if number:  # before the first frame there is nothing to save
+            checkpoint.save(segmenter.state)
         if watch is not None:
             watch(segmenter, scene)
     checkpoint.save(segmenter.state, now=True)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
+import torch
 from torch import Tensor
 
 from torchjoint.config import Config
@@ -50,6 +51,19 @@ class Result(Segmentation):
             )
         values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
         return cls(**values, scene=scene, config=config)
+
+    def at(self, granularity: float = 0.5) -> Self:
+        """As :meth:`torchjoint.Segmentation.at`; a name belongs to the segments within the one that has it, too."""
+        found = super().at(granularity)
+        if not self.segment_names:
+            return found
+        count = self.num_point_segments
+        pairs = torch.unique(found.points * count + self.points)
+        inside, times = torch.unique(pairs // count, return_counts=True)
+        whole = pairs[torch.isin(pairs // count, inside[times == 1])]
+        within = dict(zip((whole // count).tolist(), (whole % count).tolist(), strict=True))
+        names = {one: self.segment_names[of] for one, of in within.items() if of in self.segment_names}
+        return replace(found, segment_names=names)
 
     @cached_property
     def embeddings(self) -> Embeddings | None:

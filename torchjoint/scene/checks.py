@@ -128,7 +128,7 @@ def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Te
 def as_tensor(value: npt.NDArray[Any], name: str) -> Tensor:
     """The tensor of a NumPy array; TypeError if its numbers have a type that tensors do not have."""
     try:
-        return torch.from_numpy(np.ascontiguousarray(value))
+        return torch.from_numpy(np.array(value, order="C"))  # a copy: the array may be read-only, or change
     except TypeError as error:
         raise TypeError(f"{name}: expected numbers, got an array of {value.dtype}") from error
 

@@ -109,7 +109,7 @@ class Frame:
             set_("mask_scores", None)  # now in masks
 
     def __repr__(self) -> str:
-        has = "".join(f", {name}" for name in ("depth", "labels") if getattr(self, name) is not None)
+        has = "".join(f", {name}" for name in ("depth", "labels", "masks") if getattr(self, name) is not None)
         return f"Frame({self.name!r}: {self.size[1]} x {self.size[0]} pixels{has})"
 
     def _called(self, argument: str) -> str:

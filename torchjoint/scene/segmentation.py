@@ -79,7 +79,7 @@ class Segmentation:
             without visible points; such an id occurs in one image only.
         initial_images: the initial image segmentations, [H, W] int64 (each frame has its own ids).
         names: the frames' names, in order.
-        seconds: wall-clock seconds per stage.
+        seconds: seconds per stage, added up over threads.
         hierarchy: all levels of the segmentation, from which :meth:`at` chooses; None if the method makes none. Only
             method learned makes one.
         piece_images: with a hierarchy, a sequence of [H, W] int64, one per frame: the piece of the hierarchy in each

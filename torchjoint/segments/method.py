@@ -18,6 +18,10 @@ from torchjoint.segments.scan.recognition import ScanSigns, look_for_scan
 from torchjoint.views.evidence import Evidence
 
 
+def _nothing(graph: PointGraph) -> str:
+    return ""
+
+
 class Method(NamedTuple):
     """A method of step 6: two functions of a module, and what the log says."""
 
@@ -29,11 +33,12 @@ class Method(NamedTuple):
     #: 0, 1, ...; or all levels, if the method has more than one
     segment: Callable[[PointGraph, Evidence, Config], Tensor | Hierarchy]
     #: what was measured of a cloud: a text that continues "points: 1000"
-    measured: Callable[[PointGraph], str] = lambda _: ""
+    measured: Callable[[PointGraph], str] = _nothing
     uses_images: bool = True  #: whether frames affect the segments of the points
+    has_levels: bool = False  #: whether `segment` gives a hierarchy
 
 
-LEARNED = Method("learned", learned.prepare, learned.segment, learned.measured)
+LEARNED = Method("learned", learned.prepare, learned.segment, learned.measured, has_levels=True)
 PAPER = Method("paper", paper.prepare, paper.segment)
 
 

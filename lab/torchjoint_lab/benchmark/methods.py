@@ -13,6 +13,7 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.labels.label import label_points
 from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.messages import Stopwatch, needed_for
+from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.segments.method import PAPER
 from torchjoint.segments.method import Method as StepSix
 from torchjoint.views.evidence import Evidence
@@ -47,7 +48,8 @@ def geometry(case: Case, setting: Setting, images: bool) -> Result:
     config = changed(case.preset, setting)
     segmenter = _seen(case, config)
     blind = replace(Evidence.empty(segmenter.graph), facing=segmenter.state.facing)
-    tree = segmenter.method.segment(segmenter.graph, blind, config)
+    with torch.no_grad(), one_thread_per_operation():
+        tree = segmenter.method.segment(segmenter.graph, blind, config)
     return _painted(case, label_points(tree, segmenter.graph).given, images)
 
 

@@ -3,7 +3,7 @@
 Merging is greedy: one boundary that is judged a hair higher changes all that merges later, so that points moved by a
 tenth of a millimetre may give other objects. Several judges, each of which merges by itself, rarely make the same
 accidental merge. Two pieces are kept together where most of their trees have them together. The judges also see
-different draws of the evidence (:mod:`~torchjoint.segments.learned.consensus`), because pieces grow greedily, too.
+different draws of the evidence (:func:`drawn_anew`), because pieces grow greedily, too.
 """
 
 from __future__ import annotations
