@@ -625,9 +625,7 @@ def test_what_cannot_be_is_told_before_all_frames(synthetic):
     with pytest.raises(TypeError, match="config: expected a Config, got str"):
         segmenter.compute(config="paper")
     bare = LEARNED._replace(prepare=lambda cloud, config, _: build_edgeless_graph(cloud))
-    with pytest.raises(
-        ValueError, match="method: learned.prepare gave a graph of 0 points, expected its `of_given` of"
-    ):
+    with pytest.raises(ValueError, match=r"method: learned\.prepare gave a graph of 0 points, expected its `of_given`"):
         tj.JointSegmenter(method=bare).reset(synthetic.scene.points)
 
 
