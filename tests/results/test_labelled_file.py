@@ -305,13 +305,33 @@ class TestSurvey:
     def test_the_file_is_gone(self, survey, run, tmp_path):
         moved = survey[0].rename(tmp_path / "moved.laz")
         try:
-            with pytest.warns(UserWarning, match=r"site\.laz: not there any more; OUT has points, colours"):
+            with pytest.warns(UserWarning, match=r"site\.laz: not there any more, or changed since; OUT has points, colours"):
                 run("export", survey[1], "--format", "las", "-o", tmp_path / "out.las")
             run("label", survey[1], moved, "-o", tmp_path / "again.laz")
         finally:
             moved.rename(survey[0])
         self.check(survey[0], tmp_path / "again.laz", survey[1])
         assert set(laspy.read(tmp_path / "out.las").point_format.dimension_names) >= {"label", "confidence", "red"}
+
+    def test_another_file_of_its_name(self, survey, run, tmp_path):
+        """Labels of a survey do not go into another one, which a record of others may name, too."""
+        moved = survey[0].rename(tmp_path / "moved.laz")
+        try:
+            write_las(survey[0], town(3_000, 13))
+            with pytest.warns(UserWarning, match=r"site\.laz: not there any more, or changed since"):
+                run("export", survey[1], "--format", "las", "-o", tmp_path / "out.las")
+        finally:
+            moved.rename(survey[0])
+        cloud, result = laspy.read(tmp_path / "out.las"), tj.load_result(survey[1])
+        assert "quality" not in set(cloud.point_format.dimension_names)
+        assert np.allclose(cloud.xyz, result.scene.points.numpy(), atol=1e-3)
+
+    def test_the_survey_stays(self, survey, run):
+        before = survey[0].read_bytes()
+        for command in (["export", survey[1], "--format", "las", "--overwrite", "-o"], ["show", survey[1], "--static"]):
+            with pytest.raises(SystemExit, match=r"expected another path than the input's, .*site\.laz"):
+                run(*command, survey[0])
+        assert survey[0].read_bytes() == before
 
     def test_what_cannot_be(self, survey, run, tmp_path):
         with pytest.raises(SystemExit, match=r"out\.ply: expected \.las or \.laz for site\.laz"):

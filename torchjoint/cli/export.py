@@ -10,9 +10,10 @@ import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
 from torchjoint.datasets.files import las
+from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.exports.boxes import export_labelcloud
-from torchjoint.results.folder import parts_of, read_source
+from torchjoint.results.folder import parts_of, read_origin
 from torchjoint.results.labelled_file import label_file
 from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
@@ -97,15 +98,17 @@ def export(
 
 
 def _survey(result: Path) -> Path | None:
-    """The .las or .laz that was segmented; None, with a warning, if it is not there any more; None for other inputs."""
-    source = Path(read_source(result))
+    """The .las or .laz that was segmented; None, with a warning, if it is gone or another; None for other inputs."""
+    origin = read_origin(result)
+    source = Path(origin.scene)
     if source.suffix.lower() not in las.SUFFIXES:
         return None
-    if source.is_file():
+    # The record may come from others, and name any file: who did not segment it does not know its fingerprint.
+    if source.is_file() and fingerprint(source) == origin.fingerprint:
         return source
     warnings.warn(
-        f"{source}: not there any more; OUT has points, colours and labels, but no coordinate system and no other "
-        "dimension; `torchjoint label RESULT FILE -o OUT.laz` puts the labels into the file where it is now",
+        f"{source}: not there any more, or changed since; OUT has points, colours and labels, but no coordinate system "
+        "and no other dimension; `torchjoint label RESULT FILE -o OUT.laz` puts the labels into the file as it is now",
         stacklevel=3,
     )
     return None

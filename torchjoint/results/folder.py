@@ -58,8 +58,15 @@ PARTS = (
 
 
 def parts_of(result: Path) -> list[Path]:
-    """What a command reads of a result; of a file, the file. Other files in a result's folder are not of the result."""
-    return [result] if result.is_file() else [path for part in PARTS for path in result.glob(part)]
+    """What no output of a command may replace: a result, and the file that was segmented; of a file, the file.
+
+    Other files in a result's folder are not of the result.
+    """
+    if result.is_file():
+        return [result]
+    source = read_origin(result).scene
+    own = [path for part in PARTS for path in result.glob(part)]
+    return [*own, Path(source)] if os.path.isfile(source) else own
 
 
 class PointResult(NamedTuple):
