@@ -305,7 +305,7 @@ class TestSurvey:
     def test_the_file_is_gone(self, survey, run, tmp_path):
         moved = survey[0].rename(tmp_path / "moved.laz")
         try:
-            with pytest.warns(UserWarning, match=r"site\.laz: not there any more, or changed since; OUT has points, colours"):
+            with pytest.warns(UserWarning, match=r"site\.laz: not there any more, or changed since; OUT has points"):
                 run("export", survey[1], "--format", "las", "-o", tmp_path / "out.las")
             run("label", survey[1], moved, "-o", tmp_path / "again.laz")
         finally:
