@@ -55,6 +55,14 @@ def test_ros(tmp_path):
         tj.load_scene(bag, voxel_size=0.1)
 
 
+def test_ros_of_equal_times(tmp_path):
+    """Some drivers leave the time in the header of all messages as it is."""
+    same = ("/camera/image_raw", 0.15, ros.image(0.104, ros.colors(1), "bgr8"))
+    bag = ros.record(tmp_path / "same", [*ros.messages(), same])
+    with pytest.warns(UserWarning, match=r"image_raw: 1 of 3 images have the time of another in their header, and are"):
+        assert len(tj.load_scene(bag, voxel_size=0.1).frames) == 2
+
+
 def test_the_largest_of_several_models(tmp_path):
     """COLMAP numbers parts that it could not join; version 3.12 adds rigs and frames."""
     path = samples.write("colmap", tmp_path / "sample")

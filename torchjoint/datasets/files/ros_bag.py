@@ -9,6 +9,7 @@ import bz2
 import os
 import struct
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -47,9 +48,11 @@ class Bag:
         self._process = 0  #: id of the process that opened the files; a forked process opens its own
         with self._opened() as reader:
             self.kinds: dict[str, str] = {}  #: types of the topics that have messages
+            self.counts: Counter[str] = Counter()  #: messages of each topic
             for one in sorted(reader.connections, key=lambda one: one.topic):
                 if one.msgcount:
                     self.kinds[one.topic] = one.msgtype
+                    self.counts[one.topic] += one.msgcount
 
     def __del__(self) -> None:
         if getattr(self, "_reader", None) is not None and self._process == os.getpid():

@@ -165,7 +165,10 @@ def _frame(message: Any) -> str:
 
 
 def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[Frame]:
-    colors = bag.stamps(topics.color)
+    colors, total = bag.stamps(topics.color), bag.counts[topics.color]
+    tell_left_out(
+        f"{bag.path}: {topics.color}", total - len(colors), total, "have the time of another in their header,"
+    )
     depths = [] if topics.depth is None else bag.stamps(topics.depth)
     depth_of = dict(associate([one.time for one in colors], [one.time for one in depths], limit))
     at = poses.world_from(_frame(bag.first(topics.color)), [one.time for one in colors])
@@ -222,6 +225,9 @@ def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tupl
     for told in (
         f"{len(stamps) - used} of {len(stamps)} scans have no pose within {poses.limit} s"
         if used < len(stamps)
+        else "",
+        f"{bag.counts[topic] - len(stamps)} of {bag.counts[topic]} scans have the time of another in their header"
+        if len(stamps) < bag.counts[topic]
         else "",
         f"{without} of {given} points are (0, 0, 0), beams without return" if without else "",
         f"{used - colored} of {used} scans have no colours, so those of the others" if 0 < colored < used else "",
