@@ -1,11 +1,13 @@
 """Images without a pose are left out, and every format tells so in the same words."""
 
 import shutil
+import struct
 
 import numpy as np
 import pytest
 import samples
 import torch
+from las_town import town, write_las
 from samples import ros
 from samples._parts import write_noise
 
@@ -61,6 +63,16 @@ def test_ros_of_equal_times(tmp_path):
     bag = ros.record(tmp_path / "same", [*ros.messages(), same])
     with pytest.warns(UserWarning, match=r"image_raw: 1 of 3 images have the time of another in their header, and are"):
         assert len(tj.load_scene(bag, voxel_size=0.1).frames) == 2
+
+
+def test_las_behind_the_last_point(tmp_path):
+    """A writer that was killed has not put the number of its points into the header."""
+    file = write_las(tmp_path / "site.las", town(1_000, 3))
+    content = bytearray(file.read_bytes())
+    struct.pack_into("<Q", content, 247, 600)
+    file.write_bytes(content)
+    with pytest.warns(UserWarning, match=r"site\.las: \d+ bytes behind the 600 points of its header are not read"):
+        assert len(tj.load_scene(file).points) == 600
 
 
 def test_the_largest_of_several_models(tmp_path):

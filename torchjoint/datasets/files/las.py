@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import struct
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -138,6 +139,7 @@ def check_header(path: Path) -> LasHeader:
     with open_file(path, "a point cloud, .las or .laz") as stream, damage_is(f"{path}: not a whole LAS file"):
         size = path.stat().st_size
         header = _parse(stream.read(375))
+        end = header.extended_at if header.num_extended else size
         _check_records(stream, header, size)
         if header.is_compressed:
             bounds.check_points(header.num_points, size)
@@ -148,6 +150,9 @@ def check_header(path: Path) -> LasHeader:
                 f"truncated: {header.num_points} points take {header.num_points * header.record_size} bytes, got "
                 f"{size - header.points_at}"
             )
+        elif (rest := end - header.points_at - header.num_points * header.record_size) >= header.record_size:
+            told = f"{path}: {rest} bytes behind the {header.num_points} points of its header are not read"
+            warnings.warn(told, stacklevel=3)
     return header
 
 
