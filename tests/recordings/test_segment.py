@@ -7,8 +7,10 @@ import torch
 from test_batch import HereEngine
 
 import torchjoint as tj
-from torchjoint.recordings.segment import evidence_of_chunks, run
+from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.recordings.segment import evidence_of_chunks, run, segment_recording
 from torchjoint.results.checkpoint import Checkpoint
+from torchjoint.runtime.files import file_checksum
 
 QUICK = tj.Config().set(["boundary.detector=gradient"])
 
@@ -63,3 +65,23 @@ def test_an_error_of_a_frame_is_raised(scene_of):
     damaged = replace(scene, frames=Damaged(scene.frames))
     with pytest.raises(OSError, match=r"frame.png: damaged"):
         list(evidence_of_chunks(HereEngine())(segmenter, damaged))
+
+
+def test_a_fused_cloud_is_of_its_format(scene_of, tmp_path, monkeypatch):
+    """A run that was stopped because the format was wrong leaves no cloud to the run with the right one."""
+    given = []
+
+    def load(path, *, cloud, format, **_):
+        given.append((format, cloud.exists()))
+        write_cloud(cloud, scene_of(1).scene.points)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("torchjoint.recordings.segment.load_scene", load)
+    (tmp_path / "recording").mkdir()
+    for format in (None, None, "tum"):
+        with pytest.raises(KeyboardInterrupt):
+            segment_recording(tmp_path / "recording", tmp_path / "out", QUICK, tj.RecordingOptions(format=format))
+        (cloud,) = (tmp_path / "out.partial").glob("cloud-*.ply")
+        (tmp_path / "out.partial" / "state").mkdir(exist_ok=True)
+        (tmp_path / "out.partial" / "state" / "cloud.sha256").write_text(file_checksum(cloud))
+    assert given == [(None, False), (None, True), ("tum", False)]

@@ -60,13 +60,12 @@ class RecordingOptions:
 
     def source(self) -> str:
         """The options that change a fused cloud, as text."""
-        return f"{self.voxel_size} {sorted(self.topics)} {self.time_limit}"
+        return f"{self.voxel_size} {sorted(self.topics)} {self.time_limit}{f' {self.format}' if self.format else ''}"
 
     def key(self) -> str:
         """The options that change the state of a run, as text."""
         return (
             f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within} {self.drop_invalid} {self.least_opacity}"
-            f"{'' if self.format is None else f' {self.format}'}"
         )
 
     def cut_down(self, scene: Scene) -> Scene:
