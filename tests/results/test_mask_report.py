@@ -12,6 +12,7 @@ from folder_files import write_folder
 import torchjoint as tj
 from torchjoint.datasets.files.ply import read_ply
 from torchjoint.results.edits import Edit, Edits, write_edits
+from torchjoint.results.exports.boxes import export_csv
 from torchjoint.results.inputs import write_inputs
 from torchjoint.results.parts import Parts
 from torchjoint.scene import LabelImages
@@ -140,6 +141,17 @@ class TestARun:
         assert sorted(written) == kept
         assert any(file.stem.endswith("-it") for file in written.values())
         assert len(read_ply(written[kept[0]]).points) == (stored == kept[0]).sum()
+
+    def test_names_are_those_of_the_run(self, out, run, tmp_path):
+        """Masks of another result would put names on other things; half a character cannot be written."""
+        copy = shutil.copytree(out, tmp_path / "out")
+        text = (copy / "masks.json").read_text()
+        (copy / "masks.json").write_text(text.replace('"it"', '"h\\ud800"'))
+        with pytest.raises(ValueError, match=r"masks\.json: expected the file that the run wrote"):
+            tj.load_result(copy)
+        loaded = tj.load_result(copy, verify=False)
+        assert set(loaded.segment_names.values()) == {"h\\ud800"}
+        export_csv(tmp_path / "a.csv", loaded)
 
     def test_errors(self, out, run, tmp_path):
         with pytest.raises(SystemExit, match="--only-masked: expected no --granularity"):

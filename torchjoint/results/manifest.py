@@ -28,7 +28,10 @@ from torchjoint.scene.hierarchy import Votes
 
 FILE, RUN = "manifest.json", "run.yaml"
 #: The files that are checked when a result is opened, and those that are checked when they are read.
-AT_ONCE, WHEN_READ = ("points.npz", "hierarchy.npz", "cameras.json"), ("images/*.png", "pieces/*.png", "inputs/*.jpg")
+AT_ONCE, WHEN_READ = (
+    ("points.npz", "hierarchy.npz", "cameras.json", "masks.json"),
+    ("images/*.png", "pieces/*.png", "inputs/*.jpg"),
+)
 
 #: A function that returns the path of a result's file, or raises ValueError if it is not what was written.
 Check = Callable[[Path], Path]

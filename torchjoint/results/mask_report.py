@@ -16,6 +16,7 @@ from torchjoint.results.edits import LONGEST
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
+from torchjoint.runtime.messages import printable
 from torchjoint.scene import Masks
 from torchjoint.scene.segmentation import level_images
 
@@ -108,7 +109,7 @@ def names_of_masks(folder: Path) -> dict[int, str]:
         return {}
     with damage_is(f"{folder / FILE}: not the masks of this result"):
         named = {int(one["id"]): one["names"] for one in _read(folder)["segments"] if one["names"]}
-        return {segment: str(max(names, key=names.get))[:LONGEST] for segment, names in named.items()}
+        return {segment: printable(max(names, key=names.get))[:LONGEST] for segment, names in named.items()}
 
 
 def select_masked(folder: Path, result: Result) -> Result:
