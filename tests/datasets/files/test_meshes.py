@@ -1,11 +1,15 @@
 """Meshes of several parts, and rows of their files: no colour, point or row is lost without a word."""
 
+import base64
+import json
+
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.datasets.files import meshes
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import read_ply, read_vertex_property
 from torchjoint.results.labelled_file import label_file
@@ -144,3 +148,34 @@ def test_strips_of_a_ply(tmp_path, encoding):
     first, second, third = read.points[read.faces].unbind(1)
     normals = torch.linalg.cross(second - first, third - first)
     assert bool((normals[:, 2] < 0).all()) or bool((normals[:, 2] > 0).all())
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda tree: tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco"),
+        (lambda tree: tree.update(extensionsRequired=["EXT_meshopt_compression"]), "extension EXT_meshopt"),
+        (lambda tree: tree["accessors"][0].update(sparse={"count": 1}), "sparse accessors"),
+        (lambda tree: tree["accessors"][0].update(normalized=True), "normalized positions"),
+        (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=6), "fans of triangles"),
+    ],
+)
+def test_kinds_that_are_not_read(change, told, tmp_path):
+    """The library would leave them out, or take them for zeros, in silence."""
+    points = base64.b64encode(np.random.default_rng(0).random((9, 3), np.float32).tobytes()).decode()
+    tree = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}, {"nodes": []}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 9, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 108}],
+        "buffers": [{"byteLength": 108, "uri": f"data:application/octet-stream;base64,{points}"}],
+        "extensionsRequired": ["KHR_materials_unlit"],
+    }  # fmt: skip
+    path = tmp_path / "a.gltf"
+    path.write_text(json.dumps(tree))
+    with pytest.warns(UserWarning, match=r"a\.gltf: of 2 scenes only one is read"):
+        assert len(meshes.read_mesh_file(path).points) == 9
+    change(tree)
+    path.write_text(json.dumps(tree))
+    with pytest.raises(ValueError, match=f"expected a plain mesh, got {told}"):
+        meshes.read_mesh_file(path)

@@ -37,6 +37,8 @@ MUCH, SAMPLES = 0.1, 200_000
 AGREED = 0.9
 #: Formats of textures. TGA has no mark at its start, so it is tried last.
 TEXTURES = (*RASTERS, "TGA")
+#: Extensions of glTF that do not change where points are.
+_LOOKS = re.compile("KHR_(materials_.*|texture_.*|lights_punctual|xmp.*|mesh_quantization)|EXT_texture_.*")
 #: Chunks of a .glb.
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
@@ -319,6 +321,7 @@ def check_gltf(data: bytes, parts: Parts, name: str) -> None:
     binary = iter([chunk for kind, chunk in chunks if kind == _BINARY])
     buffers = [_content(one, parts) if "uri" in one else next(binary, b"") for one in tree.get("buffers", ())]
     _check_numbers(tree, sum(map(len, buffers)) + len(data))
+    _check_kinds(tree, name)
     for index, image in enumerate(tree.get("images", ())):
         if "bufferView" in image:
             view = tree["bufferViews"][image["bufferView"]]
@@ -327,6 +330,21 @@ def check_gltf(data: bytes, parts: Parts, name: str) -> None:
         else:
             content = _content(image, parts)
         parts.check_texture(content, f"{name}: image {index}")
+
+
+def _check_kinds(tree: dict[str, Any], name: str) -> None:
+    """Checks that trimesh reads all points as they are meant: what it does not know it leaves out, or takes for 0."""
+    unknown = {f"extension {one}" for one in tree.get("extensionsRequired", ()) if not _LOOKS.fullmatch(one)}
+    for primitive in (one for mesh in tree.get("meshes", ()) for one in mesh["primitives"]):
+        used = [tree["accessors"][one] for one in _accessors(primitive)]
+        unknown |= {"sparse accessors"} if any("sparse" in one for one in used) else set()
+        unknown |= {"fans of triangles"} if primitive.get("mode") == 6 else set()
+        is_scaled = tree["accessors"][primitive["attributes"]["POSITION"]].get("normalized")
+        unknown |= {"normalized positions"} if is_scaled else set()
+    if unknown:
+        raise ValueError(f"expected a plain mesh, got {', '.join(sorted(unknown))}; save it without")
+    if len(tree.get("scenes", ())) > 1:
+        warnings.warn(f"{name}: of {len(tree['scenes'])} scenes only one is read", stacklevel=5)
 
 
 def _check_numbers(tree: dict[str, Any], size: int) -> None:
