@@ -71,6 +71,7 @@ def load_scene(
         "drop" if drop_invalid else "refuse",
         least_opacity,
         fuse,
+        format,
     )
     if format is not None and format not in FORMATS:
         raise ValueError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")

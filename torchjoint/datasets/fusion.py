@@ -139,18 +139,19 @@ def volume_origin(frames: Sequence[Frame], voxel_size: float) -> Tensor:
 
 
 def fuse_or_recall(
-    path: Path, frames: Sequence[Frame], voxel_size: float, progress: bool | None
+    path: Path, frames: Sequence[Frame], voxel_size: float, progress: bool | None, how: str = ""
 ) -> tuple[Tensor, Tensor | None]:
     """Returns the cloud that is fused from the frames of a recording; from the cache, if it was fused before.
 
     Args:
         path: the recording. A cached cloud is not used if a file of the recording or the package's version changed.
         frames, voxel_size, progress: as of :func:`~torchjoint.datasets.fusion.fuse_cloud`.
+        how: the options by which the frames were read; read in another way they give another cloud.
 
     Returns:
         points [N, 3] metres and colours [N, 3] in [0, 1]; the same with and without the cache.
     """
-    file = _file(path, voxel_size)
+    file = _file(path, voxel_size, how)
     if file is not None and has_file(file):
         try:
             points, colors = read_cloud_file(file)[:2]
@@ -167,9 +168,9 @@ def fuse_or_recall(
     return points, colors
 
 
-def _file(path: Path, voxel_size: float) -> Path | None:
+def _file(path: Path, voxel_size: float, how: str) -> Path | None:
     folder = cache_folder()
     if folder is None:
         return None
-    key = repr((fingerprint(path), float(voxel_size), version("torchjoint")))
+    key = repr((fingerprint(path), float(voxel_size), version("torchjoint"), how))
     return folder / "clouds" / f"{hashlib.sha256(key.encode()).hexdigest()}.ply"

@@ -40,6 +40,7 @@ class Options:
     invalid: Invalid = "refuse"  #: what becomes of points of the cloud that are NaN or infinite
     least_opacity: float = 0.1  #: of the cloud, if it consists of Gaussian splats
     fuse: bool = True  #: False: one point stands for a cloud that would have to be fused
+    format: str | None = None  #: name of the format; None: it was detected
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
@@ -51,7 +52,8 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
     if not options.fuse:
         return Scene(torch.zeros(1, 3), frames, name=path.name)
     made = None if options.cloud is None else Output(options.cloud, overwrite=False, option="cloud")
-    points, colors = fuse_or_recall(path, frames, options.voxel_size, options.progress)
+    how = f"{sorted(options.topics.items())} {options.time_limit} {options.format}"
+    points, colors = fuse_or_recall(path, frames, options.voxel_size, options.progress, how)
     if made is not None:
         with made.written() as file:
             write_cloud(file, points, colors)

@@ -175,3 +175,23 @@ def test_what_is_no_recording_of_a_camera(tmp_path):
     bag = ros.record(tmp_path / "tf", [one for one in ros.messages() if one[0] == "/tf"])
     with pytest.raises(ValueError, match="expected colour images, got topics /tf"):
         tj.load_scene(bag)
+
+
+def test_the_cache_knows_the_topics(tmp_path, monkeypatch):
+    """A cloud that was fused from one topic is not that of another."""
+    monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
+    far = [
+        (
+            "/camera/far_depth",
+            seconds,
+            ros.image(seconds + 0.009, np.full((ros.HEIGHT, ros.WIDTH), 3000, np.uint16), "16UC1"),
+        )
+        for seconds in (0.0, 0.1)
+    ]
+    bag = ros.record(tmp_path / "two", [*ros.messages(), *far])
+    clouds = [
+        tj.load_scene(bag, topics={"depth": topic}, voxel_size=0.1).points
+        for topic in ("/camera/aligned_depth", "/camera/far_depth", "/camera/aligned_depth")
+    ]
+    assert torch.equal(clouds[0], clouds[2])
+    assert float((clouds[0].mean(0) - clouds[1].mean(0)).norm()) > 0.5
