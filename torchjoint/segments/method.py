@@ -17,7 +17,6 @@ from torchjoint.segments.scan import method as scan
 from torchjoint.segments.scan.recognition import ScanSigns, look_for_scan
 from torchjoint.views.evidence import Evidence
 
-
 #: A cloud is said to be thinned if less than this share of its points is left; few copies are not worth a word.
 MOSTLY = 0.95
 
