@@ -17,6 +17,9 @@ from torchjoint.segments.scan import method as scan
 from torchjoint.segments.scan.recognition import ScanSigns, look_for_scan
 from torchjoint.views.evidence import Evidence
 
+#: A cloud is said to be thinned if less than this share of its points is left; few copies are not worth a word.
+MOSTLY = 0.95
+
 
 def _nothing(graph: PointGraph) -> str:
     return ""
@@ -79,8 +82,8 @@ def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
         method: the method of step 6.
     """
     what = f"points: {len(given.points)}"
-    if graph.num_points < len(given.points):
-        what += f", much denser than their noise: thinned to {graph.num_points}"
+    if graph.num_points < MOSTLY * len(given.points):
+        what += f", much denser than their noise, or copies: thinned to {graph.num_points}"
     what += method.measured(graph)
     if method.name == "learned" and graph.colors is None:
         what += f", {'no colours' if given.colors is None else 'all of one colour'} (those of images are used, if any)"
