@@ -1,5 +1,6 @@
 """Images without a pose are left out, and every format tells so in the same words."""
 
+import dataclasses
 import shutil
 import struct
 
@@ -13,6 +14,7 @@ from samples._parts import write_noise
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.datasets.fusion import fuse_cloud
 
 
 def without_pose(name, folder):
@@ -99,3 +101,10 @@ def test_the_largest_of_several_models(tmp_path):
         assert tj.load_scene(path / "sparse" / number).points.min() == int(number)
     with pytest.warns(UserWarning, match="sparse/1 is read"):
         assert tj.load_scene(path).points.min() == 1
+
+
+def test_frames_without_depth_among_others(scene_of):
+    frames = list(scene_of(3).scene.frames)
+    frames[1] = dataclasses.replace(frames[1], depth=None)
+    with pytest.warns(UserWarning, match=rf"depth: 1 of {len(frames)} frames have no depth image; the cloud is fused"):
+        fuse_cloud(frames, 0.05)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -69,6 +70,7 @@ def fuse_cloud(
 
     Warns:
         PoseWarning: the poses do not fit, and another convention does.
+        UserWarning: some frames have no depth.
     """
     if not 1e-4 <= voxel_size <= 10:
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
@@ -87,6 +89,12 @@ def fuse_cloud(
         add_frame(volume, frame, origin)
     if fused == 0:
         raise ValueError("frames: none has a depth image, and there is no cloud.ply: there is no cloud to segment")
+    if fused < len(frames):
+        warnings.warn(
+            f"depth: {len(frames) - fused} of {len(frames)} frames have no depth image; the cloud is fused from the "
+            "others",
+            stacklevel=2,
+        )
     points, colors = surface_cloud(volume, origin)
     if len(points) == 0:
         raise ValueError(f"depth: the {fused} depth images give no surface; wrong poses?")
