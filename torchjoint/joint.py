@@ -261,7 +261,9 @@ class JointSegmenter(nn.Module):
             self.state = resume(self._store()) or self.state
         done = len(self.state.observations)
         if done < len(scene.frames) and not self.method.uses_images:
-            _tell_unused(checked.get(done) or scene.frames[done], self.method)
+            if done not in checked:
+                checked[done] = scene.frames[done]
+            _tell_unused(checked[done], self.method)
         return checked
 
     def _batches(

@@ -26,8 +26,7 @@ import torchjoint as tj
 from torchjoint.runtime.files import write_text
 from torchjoint.scene import Scene
 from torchjoint.segments.learned import agglomeration
-from torchjoint.segments.learned import masks as mask_merging
-from torchjoint.segments.learned import masks as mask_pieces
+from torchjoint.segments.learned import masks as of_masks
 
 DOMAINS = ("room", "table", "shelf")
 FIRST_SEED = 116
@@ -43,21 +42,21 @@ Patch = tuple[object, str, object]
 ABLATION: dict[str, list[Patch]] = {
     "all": [],
     "no masks": [],
-    "apart counts as much as together": [(mask_merging, "APART_WEIGHT", 1.0), (mask_pieces, "APART_WEIGHT", 1.0)],
+    "apart counts as much as together": [(of_masks, "APART_WEIGHT", 1.0)],
     "no geometry": [
-        (mask_merging, "FIRST_PRIOR_WEIGHT", 1e-6),
-        (mask_merging, "LEAST_PRIOR_WEIGHT", 1e-6),
-        (mask_merging, "PRIOR_WEIGHT_OF_NOISE", 0.0),
+        (of_masks, "FIRST_PRIOR_WEIGHT", 1e-6),
+        (of_masks, "LEAST_PRIOR_WEIGHT", 1e-6),
+        (of_masks, "PRIOR_WEIGHT_OF_NOISE", 0.0),
     ],
     "geometry counts .1 views, whatever the noise": [
-        (mask_merging, "LEAST_PRIOR_WEIGHT", 0.1),
-        (mask_merging, "PRIOR_WEIGHT_OF_NOISE", 0.0),
+        (of_masks, "LEAST_PRIOR_WEIGHT", 0.1),
+        (of_masks, "PRIOR_WEIGHT_OF_NOISE", 0.0),
     ],
     "only touching regions merge": [
-        (mask_merging.MaskLinkage, "far_pairs", lambda *_: torch.empty(2, 0, dtype=torch.int64))
+        (of_masks.MaskLinkage, "far_pairs", lambda *_: torch.empty(2, 0, dtype=torch.int64))
     ],
-    "pieces are not cut": [(mask_pieces, "MIXED", 1.0)],
-    "crumbs stay": [(mask_merging, "MIN_SIZE", 1)],
+    "pieces are not cut": [(of_masks, "MIXED", 1.0)],
+    "crumbs stay": [(of_masks, "MIN_SIZE", 1)],
     "merged at once, not in steps": [(agglomeration, "merging_steps", lambda thresholds: [(3, thresholds[-1])])],
 }
 

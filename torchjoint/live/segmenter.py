@@ -57,12 +57,12 @@ class Keyframe(NamedTuple):
     depth: Packed | None = None  #: in steps of DEPTH_STEP, if it is kept
 
     @classmethod
-    def packed(cls, frame: Frame, developed: Frame, segments: ImageSegments, far: float | None) -> Keyframe:
+    def packed(cls, frame: Frame, bright: Frame, segments: ImageSegments, far: float | None) -> Keyframe:
         """A keyframe.
 
         Args:
             frame: as it was taken.
-            developed: the same, as steps 1 and 2 saw it.
+            bright: the same, as steps 1 and 2 saw it.
             segments: their results.
             far: metres, keeps depth up to here; None: keeps no depth.
         """
@@ -71,7 +71,7 @@ class Keyframe(NamedTuple):
             frame.name,
             frame.intrinsics,
             frame.world_to_camera,
-            pack(_bytes(developed.image)),
+            pack(_bytes(bright.image)),
             pack(_bytes(segments.boundary)),
             pack(segments.labels.to(torch.int32)),
             segments.masks,
@@ -80,7 +80,7 @@ class Keyframe(NamedTuple):
             return keyframe
         known = (frame.depth > 0) & (frame.depth <= far)
         depth = torch.where(known, (frame.depth / DEPTH_STEP).round(), 0.0).to(torch.int32)
-        taken = None if developed is frame else pack(_bytes(frame.image))
+        taken = None if bright is frame else pack(_bytes(frame.image))
         return keyframe._replace(taken=taken, depth=pack(depth))
 
     def to_dict(self) -> dict[str, Any]:
