@@ -53,7 +53,7 @@ def test_features_without_images_and_colours_are_listed(scene_of):
         boundary_examples.feature_columns(boundary_examples.IMAGE_FEATURES + boundary_examples.COLOR_FEATURES)
     )
     bare = labelled_evidence(Scene(scene.points, truth=scene.truth))
-    values = boundary_examples.boundary_features(bare.evidence, bare.evidence.piece).values
+    values = boundary_examples.boundary_features(bare.evidence)
     assert {i for i in range(len(FEATURE_NAMES)) if values[:, i].isnan().all()} == columns
 
 
@@ -61,30 +61,31 @@ def test_evidence_without_images_has_oriented_normals(scene_of, prepared):
     """So a model is judged without images, on the same pieces' points and with the same cameras."""
     evidence, instance = labelled_evidence(scene_of(0).scene, images=False)
     assert torch.equal(instance, prepared[0].instance)
-    values = boundary_examples.boundary_features(evidence, evidence.piece).values
+    values = boundary_examples.boundary_features(evidence)
     columns = boundary_examples.feature_columns(boundary_examples.IMAGE_FEATURES)
     assert values[:, columns].isnan().all()
-    assert not evidence.edges.unoriented.all()
+    assert (evidence.boundaries.means()["unoriented"] < 1).any()
     seen = prepared[0].evidence
-    assert not boundary_examples.boundary_features(seen, seen.piece).values[:, columns].isnan().all()
+    assert not boundary_examples.boundary_features(seen)[:, columns].isnan().all()
 
 
 def test_labels_and_weights(prepared):
     evidence, instance = prepared[0]
     piece = evidence.piece
-    exact = boundary_examples.boundary_examples(evidence, piece, piece)
+    own = torch.arange(len(evidence))
+    exact = boundary_examples.boundary_examples(evidence, own, piece)
     assert exact.is_border.all()
     assert np.isclose(exact.weight.sum(), len(exact.weight) ** 0.5)
     np.testing.assert_allclose(exact.weight, exact.weight[0])  # pieces of one instance each count alike
     half = torch.where(torch.arange(len(piece)) % 2 == 0, piece, piece.max() + 1)
-    mixed = boundary_examples.boundary_examples(evidence, piece, half)
+    mixed = boundary_examples.boundary_examples(evidence, own, half)
     assert mixed.weight.min() < 0.5 * mixed.weight.max()  # than pieces of several
-    void = boundary_examples.boundary_examples(evidence, piece, torch.where(piece == 0, -1, piece))
+    void = boundary_examples.boundary_examples(evidence, own, torch.where(piece == 0, -1, piece))
     touches = (exact.pairs == 0).any(0).numpy()
     assert touches.any()
     assert not void.weight[touches].any()
     assert (void.weight[~touches] > 0).all()
-    one = boundary_examples.boundary_examples(evidence, piece, torch.full_like(instance, 7))
+    one = boundary_examples.boundary_examples(evidence, own, torch.full_like(instance, 7))
     assert not one.is_border.any()
 
 
@@ -111,8 +112,8 @@ def test_evidence_on_disk(prepared, tmp_path):
     save_evidence(path, prepared[0])
     (again,) = PieceGraphFiles([path])
     assert torch.equal(again.instance, prepared[0].instance)
-    expected = boundary_examples.boundary_features(prepared[0].evidence, prepared[0].evidence.piece).values
-    found = boundary_examples.boundary_features(again.evidence, again.evidence.piece).values
+    expected = boundary_examples.boundary_features(prepared[0].evidence)
+    found = boundary_examples.boundary_features(again.evidence)
     torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
     whole = path.read_bytes()
     for damaged in (whole[:1000], whole[:2000] + bytes([whole[2000] ^ 1]) + whole[2001:], b""):
@@ -158,7 +159,7 @@ def test_members_have_seeds_of_their_own(prepared):
     found = fit_boundary_model(prepared, replace(QUICK, members=2, seed=3), report=reports.append)
     assert [report.threshold for report in reports] == [0.2, 0.5] * 2
     first, second = (fit_boundary_model(prepared, replace(QUICK, seed=seed)) for seed in (3, 4))
-    values = boundary_features(prepared[0].evidence, prepared[0].evidence.piece).values
+    values = boundary_features(prepared[0].evidence)
     for number in range(2):
         one, other = first.probability(number, values), second.probability(number, values)
         assert not torch.equal(one, other)
@@ -211,8 +212,8 @@ def test_variants_of_a_merging_differ_by_noise_only(prepared):
         merging = SceneMerging(0, variant)
         merging.start(scene)
         merging.advance(scene, 1, member.rounds[0], member.calibrations[0], BoundaryModelOptions(noise=noise))
-        assert (merging.examples.pairs < int(merging.region.max()) + 1).all()
-        return merging.region
+        assert (merging.examples.pairs < int(merging.of_piece.max()) + 1).all()
+        return merging.of_piece
 
     undisturbed = regions(0, 2.0)
     assert torch.equal(regions(1, 0.0), undisturbed)

@@ -16,19 +16,17 @@ from torchjoint.ops.internal import agreement_sums
     seed=st.integers(0, 2**32 - 1),
     num_rows=st.integers(0, 60),
     num_segments=st.integers(1, 40),
-    num_pieces=st.integers(1, 8),
+    num_regions=st.integers(1, 8),
     min_points=st.integers(1, 6),
 )
-def test_against_the_twin(seed, num_rows, num_segments, num_pieces, min_points):
+def test_against_the_twin(seed, num_rows, num_segments, num_regions, min_points):
     generator = torch.Generator().manual_seed(seed)
 
     def numbers(top, *shape):
         return torch.randint(top, shape, generator=generator)
 
-    num_regions = int(numbers(num_pieces, 1)) + 1
-    of_piece = numbers(num_regions, num_pieces)
     # Region 0 often has many more rows than the others.
-    piece = (numbers(num_pieces, num_rows) * numbers(2, num_rows)).int()
+    region = (numbers(num_regions, num_rows) * numbers(2, num_rows)).int()
     segment, points = numbers(num_segments, num_rows).int(), numbers(5, num_rows).int()
     size = torch.zeros(num_segments, dtype=torch.int64).index_add_(0, segment, points.long())
     size += numbers(4, num_segments)
@@ -37,11 +35,9 @@ def test_against_the_twin(seed, num_rows, num_segments, num_pieces, min_points):
 
     def of_rows(order):
         return agreement_sums(
-            piece[order], segment[order], points[order], size, frame, of_piece, num_regions, pairs, min_points, 2.0**-24
+            region[order], segment[order], points[order], size, frame, num_regions, pairs, min_points, 2.0**-24
         )
 
-    expected = agreement_sums_reference(
-        piece, segment, points, size, frame, of_piece, num_regions, pairs, min_points, 2.0**-24
-    )
+    expected = agreement_sums_reference(region, segment, points, size, frame, num_regions, pairs, min_points, 2.0**-24)
     for order in (torch.arange(num_rows), torch.randperm(num_rows, generator=generator)):
         assert all(map(torch.equal, of_rows(order), expected))

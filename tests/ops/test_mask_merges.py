@@ -31,6 +31,7 @@ def random_views(seed: int, num_regions: int, num_edges: int, num_frames: int) -
     return {
         "edge_index": numbers(num_regions, 2, num_edges),
         "cost": numbers(5, num_edges) / 4,
+        "count": numbers(3, num_edges) + 1,
         "size": size,
         "in_mask": in_mask,
         "in_frame": in_frame,
@@ -91,6 +92,7 @@ def test_by_hand() -> None:
     views = {
         "edge_index": torch.tensor([[0], [1]]),
         "cost": torch.tensor([0.5]),
+        "count": torch.tensor([3]),
         "size": torch.tensor([2, 4]),
         "in_mask": torch.tensor([[0, 1], [0, 0], [2, 1]]),
         "in_frame": torch.tensor([[0, 1], [0, 0], [2, 2]]),
@@ -109,6 +111,7 @@ def test_regions_that_do_not_touch_count() -> None:
     views = {
         "edge_index": torch.tensor([[0, 1], [1, 2]]),
         "cost": torch.tensor([0.1, 0.2]),
+        "count": torch.tensor([1, 1]),
         "size": torch.tensor([2, 2, 2]),
         "in_mask": torch.tensor([[0, 2], [0, 1], [2, 2]]),
         "in_frame": torch.tensor([[0, 2], [0, 0], [2, 2]]),
@@ -134,6 +137,7 @@ def test_what_a_mask_has_that_its_frame_does_not_see() -> None:
 def test_small_regions_join_and_large_ones_do_not() -> None:
     views = random_views(0, 4, 0, 0)
     views |= {"edge_index": torch.tensor([[0, 1, 2], [1, 2, 3]]), "cost": torch.tensor([0.9, 0.8, 0.1])}
+    views["count"] = torch.tensor([1, 2, 3])
     views["size"] = torch.tensor([9, 2, 9, 9])
     weights = {"apart_weight": 1, "prior_weight": 1, "threshold": 1}
     merges, _ = mask_merges(**views, **weights, min_size=3)

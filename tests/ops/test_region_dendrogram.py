@@ -29,11 +29,13 @@ def random_regions(seed: int, num_regions: int, num_edges: int, levels: int) -> 
     num_edges=st.integers(0, 60),
     levels=st.sampled_from([1, 2, 3, 4, 1000]),
     threshold=st.sampled_from([0.0, 0.2, 0.5, 0.75, 1.0, math.inf]),
+    counted=st.booleans(),
 )
-def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, threshold: float) -> None:
+def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, threshold: float, counted: bool) -> None:
     edges, cost = random_regions(seed, num_regions, num_edges, levels)
-    merges, mean = region_dendrogram(edges, cost, num_regions, threshold)
-    expected, expected_mean = region_dendrogram_reference(edges, cost, num_regions, threshold)
+    count = torch.randint(1, 4, (num_edges,), generator=torch.Generator().manual_seed(seed)) if counted else None
+    merges, mean = region_dendrogram(edges, cost, num_regions, threshold, count)
+    expected, expected_mean = region_dendrogram_reference(edges, cost, num_regions, threshold, count)
     assert torch.equal(merges, expected)
     assert torch.equal(mean, expected_mean)
 

@@ -9,18 +9,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from reference.arguments import NAN, PIXELS, VALUES
+from reference.arguments import NAN, PIXELS
 from torchjoint.ops.internal import agreement_sums
 
 EXAMPLE: dict[str, Any] = {
-    "piece": torch.tensor([0, 1, 2, 1]).int(), "segment": torch.tensor([0, 0, 1, 2]).int(),
+    "region": torch.tensor([0, 1, 1, 1]).int(), "segment": torch.tensor([0, 0, 1, 2]).int(),
     "num_points": torch.tensor([4, 2, 3, 5]).int(), "segment_size": torch.tensor([6, 4, 5]),
-    "frame_of_segment": torch.tensor([0, 0, 2]), "of_piece": torch.tensor([0, 1, 1]), "num_regions": 2,
+    "frame_of_segment": torch.tensor([0, 0, 2]), "num_regions": 2,
     "pairs": torch.tensor([[0], [1]]), "min_points": 3, "resolution": 0.25,
 }  # fmt: skip
 ERRORS = [
-    ({"piece": torch.tensor([0, 1, 3, 1]).int()}, ValueError, "piece: expected numbers in [0, 3), got 3 at 2"),
-    ({"piece": torch.tensor([0, 1, 2, 1])}, ValueError, "piece: expected another dtype"),
+    ({"region": torch.tensor([0, 1, 2, 1]).int()}, ValueError, "region: expected numbers in [0, 2), got 2 at 2"),
+    ({"region": torch.tensor([0, 1, 1, 1])}, ValueError, "region: expected another dtype"),
     ({"segment": torch.tensor([0, 0, -1, 2]).int()}, ValueError, "segment: expected numbers in [0, 3), got -1 at 2"),
     ({"segment": PIXELS.int()}, ValueError, "segment: expected length 4 in dimension 0, got 3"),
     ({"num_points": torch.tensor([4, 2, -3, 5]).int()}, ValueError, "num_points: expected numbers >= 0, got -3 at 2"),
@@ -30,17 +30,15 @@ ERRORS = [
     ({"frame_of_segment": torch.tensor([0, 2, 0])}, ValueError, "frame_of_segment: expected ascending numbers, got 0"),
     ({"frame_of_segment": torch.tensor([-1, 0, 2])}, ValueError, "frame_of_segment: expected numbers in [0, 214748364"),
     ({"frame_of_segment": PIXELS[:2]}, ValueError, "frame_of_segment: expected length 3 in dimension 0, got 2"),
-    ({"of_piece": torch.tensor([0, 2, 1])}, ValueError, "of_piece: expected numbers in [0, 2), got 2 at 1"),
-    ({"num_regions": 1}, ValueError, "pairs: expected numbers in [0, 1), got 1 at 1"),
+    ({"pairs": torch.tensor([[0], [2]])}, ValueError, "pairs: expected numbers in [0, 2), got 2 at 1"),
     ({"pairs": PIXELS}, ValueError, "pairs: expected 2 dimensions"),
     ({"min_points": 0}, ValueError, "min_points: expected a number > 0, got 0"),
     ({"resolution": 2}, ValueError, "resolution: expected a number in [2^-31, 1], got 2"),
     ({"resolution": NAN}, ValueError, "resolution: expected a number in [2^-31, 1], got nan"),
 ]
 REFUSED = [
-    {"piece": PIXELS},
+    {"region": PIXELS},
     {"num_points": PIXELS.int()},
-    {"of_piece": VALUES},
     {"num_regions": -1},
     {"pairs": PIXELS},
     {"min_points": -1},
@@ -49,12 +47,11 @@ REFUSED = [
 
 
 def agreement_sums_reference(
-    piece: Tensor,
+    region: Tensor,
     segment: Tensor,
     num_points: Tensor,
     segment_size: Tensor,
     frame_of_segment: Tensor,
-    of_piece: Tensor,
     num_regions: int,
     pairs: Tensor,
     min_points: int,
@@ -64,10 +61,9 @@ def agreement_sums_reference(
     size, frames = segment_size.tolist(), frame_of_segment.tolist()
     points: Counter[tuple[int, int]] = Counter()  # of a region in a segment
     seen: Counter[tuple[int, int]] = Counter()  # of a region in a frame
-    for place, number, count in zip(piece.tolist(), segment.tolist(), num_points.tolist(), strict=True):
-        region = int(of_piece[place])
-        points[region, number] += count
-        seen[region, frames[number]] += count
+    for place, number, count in zip(region.tolist(), segment.tolist(), num_points.tolist(), strict=True):
+        points[place, number] += count
+        seen[place, frames[number]] += count
 
     def sees(region: int, frame: int) -> bool:
         return seen[region, frame] >= min_points
@@ -106,10 +102,10 @@ def long_call(share: float = 1) -> Callable[[], Any]:
     """A call that takes some tenths of a second, or about such a share of that."""
     generator = torch.Generator().manual_seed(0)
     rows, regions = int(3_000_000 * share), 1000
-    piece, segment = (torch.randint(top, (rows,), generator=generator).int() for top in (regions, 20_000))
+    region, segment = (torch.randint(top, (rows,), generator=generator).int() for top in (regions, 20_000))
     size, frame = torch.full((20_000,), 2**20), torch.arange(20_000) // 100
     pairs = torch.randint(regions, (2, regions), generator=generator)
     points = torch.ones(rows, dtype=torch.int32)
     return lambda: agreement_sums(
-        piece, segment, points, size, frame, torch.arange(regions), regions, pairs, min_points=3, resolution=2.0**-24
+        region, segment, points, size, frame, regions, pairs, min_points=3, resolution=2.0**-24
     )

@@ -12,7 +12,8 @@ from reference.arguments import EDGES, NAN, PIXELS, VALUES, changed, large_graph
 from torchjoint.ops.internal import mask_merges
 
 EXAMPLE: dict[str, Any] = {
-    "edge_index": EDGES, "cost": VALUES.clamp(max=1), "size": torch.tensor([9, 1, 2, 3]),
+    "edge_index": EDGES, "cost": VALUES.clamp(max=1), "count": torch.tensor([1, 2, 1]),
+    "size": torch.tensor([9, 1, 2, 3]),
     "in_mask": torch.tensor([[0, 1, 1], [0, 0, 1], [4, 1, 1]]), "in_frame": torch.tensor([[0, 1], [0, 0], [5, 1]]),
     "weight": torch.tensor([256, 100]), "frame_of_mask": torch.tensor([0, 0]), "apart_weight": 0.6,
     "prior_weight": 0.1, "threshold": 0.5, "stays": torch.tensor([True, False, False, False]), "min_size": 2,
@@ -22,6 +23,8 @@ ERRORS = [
     ({"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
     ({"cost": VALUES}, ValueError, "cost: expected numbers in [0, 1], got 5 at edge 1"),
     ({"cost": changed(VALUES / 9, NAN, 1)}, ValueError, "cost: expected numbers in [0, 1], got nan at edge"),
+    ({"count": PIXELS[:2]}, ValueError, "count: expected length 3 in dimension 0, got 2"),
+    ({"count": torch.tensor([1, 0, 2])}, ValueError, "count: expected numbers in [1, 2^31 - 1], got 0 at edge 1"),
     ({"size": torch.tensor([9, 0, 2, 3])}, ValueError, "size: expected numbers > 0, got 0 at 1"),
     ({"in_mask": torch.tensor([[4], [0], [1]])}, ValueError, "in_mask[0]: expected numbers in [0, 4), got"),
     ({"in_mask": torch.tensor([[0], [2], [1]])}, ValueError, "in_mask[1]: expected numbers in [0, 2), got"),
@@ -56,6 +59,7 @@ REFUSED = [
 def mask_merges_reference(
     edge_index: Tensor,
     cost: Tensor,
+    count: Tensor,
     size: Tensor,
     in_mask: Tensor,
     in_frame: Tensor,
@@ -73,16 +77,18 @@ def mask_merges_reference(
         >>> edge_index, in_frame = torch.tensor([[0], [1]]), torch.tensor([[0, 1], [0, 0], [2, 3]])
         >>> in_mask, weight, frame = torch.tensor([[0, 1], [0, 0], [2, 1]]), torch.tensor([256]), torch.tensor([0])
         >>> mask_merges_reference(
-        ...     edge_index, torch.ones(1), torch.tensor([2, 3]), in_mask, in_frame, weight, frame, 1.0, 1.0, 1.0
+        ...     edge_index, torch.ones(1), torch.ones(1).long(), torch.tensor([2, 3]), in_mask, in_frame, weight,
+        ...     frame, 1.0, 1.0, 1.0,
         ... )  # of six pairs, two agree and four have one point in the mask: (4 / 12 + 1) / (2 / 6 + 4 / 12 + 1)
         (tensor([[0],
                 [1]]), tensor([0.8000], dtype=torch.float64))
     """
+    edge_index, cost = edge_index.repeat_interleave(count, 1), cost.repeat_interleave(count)
     points_in: dict[tuple[int, int], int] = {}
     seen_in: dict[tuple[int, int], int] = {}
     for table, rows in ((points_in, in_mask), (seen_in, in_frame)):
-        for region, key, count in rows.t().tolist():
-            table[region, key] = table.get((region, key), 0) + count
+        for region, key, points in rows.t().tolist():
+            table[region, key] = table.get((region, key), 0) + points
     weights, frames = weight.tolist(), frame_of_mask.tolist()
     group = [[region] for region in range(len(size))]
     costs: dict[tuple[int, int], list[float]] = {}  # of each boundary, by the lowest regions of its two groups
@@ -134,4 +140,4 @@ def long_call(share: float = 1) -> Callable[[], Any]:
     edges, cost = large_graph(int(10_000 * share))
     rows = torch.stack([torch.arange(len(cost)), torch.arange(len(cost)) % 7, torch.ones(len(cost)).long()])
     weight, frame_of_mask = torch.full((7,), 256), torch.arange(7)
-    return lambda: mask_merges(edges, cost, rows[2], rows, rows, weight, frame_of_mask, 0.6, 0.1, 0.5)
+    return lambda: mask_merges(edges, cost, rows[2], rows[2], rows, rows, weight, frame_of_mask, 0.6, 0.1, 0.5)

@@ -23,17 +23,21 @@ ERRORS = [
     ({"num_regions": 2**31}, ValueError, "num_regions: expected 0 to 2^31 - 1, got 2147483648"),
     ({"threshold": -0.1}, ValueError, "threshold: expected a number >= 0, got -0.1"),
     ({"threshold": "1"}, TypeError, "threshold: expected int or float, got str"),
+    ({"count": torch.tensor([1.0, 2, 3])}, TypeError, "count: expected dtype torch.int64, got torch.float32"),
+    ({"count": torch.tensor([1, 2])}, ValueError, "count: expected shape [E] = [3], got [2]"),
+    ({"count": torch.tensor([1, 0, 2])}, ValueError, "count: expected numbers in [1, 2^31 - 1], got 0 at edge 1"),
 ]
 REFUSED = [
     {"edge_index": EDGES.t()},
     {"cost": VALUES.double()},
     {"num_regions": -1},
     {"threshold": NAN},
+    {"count": torch.tensor([1, -1, 2])},
 ]
 
 
 def region_dendrogram_reference(
-    edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float
+    edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float, count: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
     """What :func:`torchjoint.ops.region_dendrogram` computes; the arguments are not checked.
 
@@ -43,6 +47,8 @@ def region_dendrogram_reference(
         (tensor([[0, 0],
                 [1, 2]]), tensor([0.0000, 0.5000], dtype=torch.float64))
     """
+    if count is not None:
+        edge_index, cost = edge_index.repeat_interleave(count, 1), cost.repeat_interleave(count)
     costs: dict[tuple[int, int], list[float]] = {}  # of each boundary, by the lowest regions of its two groups
     for (a, b), value in zip(edge_index.t().tolist(), cost.double().tolist(), strict=True):
         if a != b:

@@ -51,21 +51,19 @@ struct Segments {
 
 class Regions {
  public:
-  Regions(const int32_t* piece, const int32_t* segment, const int32_t* points, int64_t num_rows,
-          const Segments& segments, const int64_t* of_piece, int64_t num_pieces, int64_t num_regions,
-          int64_t min_points)
+  Regions(const int32_t* region, const int32_t* segment, const int32_t* points, int64_t num_rows,
+          const Segments& segments, int64_t num_regions, int64_t min_points)
       : segments_(segments), min_points_(min_points), regions_(num_regions) {
     std::vector<int64_t> start(num_regions + 1);
-    for (int64_t p = 0; p < num_pieces; ++p) check_index(of_piece[p], num_regions, "of_piece", p);
     for (int64_t i = 0; i < num_rows; ++i) {
-      check_index(piece[i], num_pieces, "piece", i);
+      check_index(region[i], num_regions, "region", i);
       check_index(segment[i], segments.count, "segment", i);
       check(points[i] >= 0, "num_points: expected numbers >= 0, got ", points[i], " at ", i);
-      ++start[of_piece[piece[i]] + 1];
+      ++start[region[i] + 1];
     }
     for (int64_t r = 0; r < num_regions; ++r) start[r + 1] += start[r];
     rows_.resize(num_rows);
-    for (int64_t i = 0; i < num_rows; ++i) rows_[start[of_piece[piece[i]]]++] = {segment[i], points[i]};
+    for (int64_t i = 0; i < num_rows; ++i) rows_[start[region[i]]++] = {segment[i], points[i]};
     // Now start[r] is the end of region r.
     torch::stable::parallel_for(0, num_regions, kRegionsAtOnce, [&](int64_t begin, int64_t end) {
       for (int64_t r = begin; r < end; ++r) {
@@ -155,17 +153,16 @@ struct Evidence {
   }
 };
 
-std::tuple<Tensor, Tensor, Tensor> agreement_sums(const Tensor& piece, const Tensor& segment, const Tensor& num_points,
+std::tuple<Tensor, Tensor, Tensor> agreement_sums(const Tensor& region, const Tensor& segment, const Tensor& num_points,
                                                   const Tensor& segment_size, const Tensor& frame_of_segment,
-                                                  const Tensor& of_piece, int64_t num_regions, const Tensor& pairs,
+                                                  int64_t num_regions, const Tensor& pairs,
                                                   int64_t min_points, double resolution) {
-  const Tensor pieces = checked_array(piece, ScalarType::Int, {-1}, "piece");
-  const int64_t num_rows = pieces.size(0);
+  const Tensor regions_of_rows = checked_array(region, ScalarType::Int, {-1}, "region");
+  const int64_t num_rows = regions_of_rows.size(0);
   const Tensor of_rows = checked_array(segment, ScalarType::Int, {num_rows}, "segment");
   const Tensor points = checked_array(num_points, ScalarType::Int, {num_rows}, "num_points");
   const Tensor sizes = checked_array(segment_size, ScalarType::Long, {-1}, "segment_size");
   const Tensor frames = checked_array(frame_of_segment, ScalarType::Long, {sizes.size(0)}, "frame_of_segment");
-  const Tensor regions_of_pieces = checked_array(of_piece, ScalarType::Long, {-1}, "of_piece");
   check(num_regions >= 0 && num_regions <= kMaxCount, "num_regions: expected 0 to 2^31 - 1, got ", num_regions);
   const Tensor ends = checked_array(pairs, ScalarType::Long, {2, -1}, "pairs");
   const int64_t num_pairs = ends.size(1);
@@ -174,9 +171,8 @@ std::tuple<Tensor, Tensor, Tensor> agreement_sums(const Tensor& piece, const Ten
   const int64_t* const end = ends.const_data_ptr<int64_t>();
   for (int64_t i = 0; i < 2 * num_pairs; ++i) check_index(end[i], num_regions, "pairs", i);
   const Segments segments(sizes, frames);
-  const Regions regions(
-      pieces.const_data_ptr<int32_t>(), of_rows.const_data_ptr<int32_t>(), points.const_data_ptr<int32_t>(), num_rows,
-      segments, regions_of_pieces.const_data_ptr<int64_t>(), regions_of_pieces.size(0), num_regions, min_points);
+  const Regions regions(regions_of_rows.const_data_ptr<int32_t>(), of_rows.const_data_ptr<int32_t>(),
+                        points.const_data_ptr<int32_t>(), num_rows, segments, num_regions, min_points);
 
   Tensor best = torch::stable::new_empty(sizes, {num_regions}, ScalarType::Double);
   Tensor extremes = torch::stable::new_empty(sizes, {3, num_pairs}, ScalarType::Double);
@@ -203,8 +199,8 @@ std::tuple<Tensor, Tensor, Tensor> agreement_sums(const Tensor& piece, const Ten
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def(
-      "agreement_sums(Tensor piece, Tensor segment, Tensor num_points, Tensor segment_size, Tensor frame_of_segment,"
-      " Tensor of_piece, SymInt num_regions, Tensor pairs, int min_points, float resolution)"
+      "agreement_sums(Tensor region, Tensor segment, Tensor num_points, Tensor segment_size, Tensor frame_of_segment,"
+      " SymInt num_regions, Tensor pairs, int min_points, float resolution)"
       " -> (Tensor best, Tensor extremes, Tensor sums)");
 }
 

@@ -91,14 +91,14 @@ class MaskGraph {
         apart_weight_(apart_weight), prior_weight_(prior_weight), stays_(stays, stays + views_.size()),
         min_size_(min_size) {}
 
-  void add_edge(int32_t a, int32_t b, int64_t cost) {
+  void add_edges(int32_t a, int32_t b, int64_t cost, int64_t count) {
     const auto [place, is_new] = border_to_[a].try_emplace(b, static_cast<int32_t>(borders_.size()));
     if (is_new) {
       border_to_[b].emplace(a, place->second);
       borders_.push_back({.region = {a, b}, .views = {}});
     }
-    borders_[place->second].prior_sum += cost;
-    ++borders_[place->second].prior_count;
+    borders_[place->second].prior_sum += cost * count;
+    borders_[place->second].prior_count += count;
   }
 
   // Calls `on_merge(a, b, cost)` before each merge of two regions.
@@ -230,8 +230,8 @@ std::vector<Views> read_views(const Tensor& in_mask, const Tensor& in_frame, con
   return views;
 }
 
-std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& cost, const Tensor& size,
-                                       const Tensor& in_mask, const Tensor& in_frame, const Tensor& weight,
+std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& cost, const Tensor& count,
+                                       const Tensor& size, const Tensor& in_mask, const Tensor& in_frame, const Tensor& weight,
                                        const Tensor& frame_of_mask, double apart_weight, double prior_weight,
                                        double threshold, const Tensor& stays, int64_t min_size) {
   const Tensor edges = checked_edge_index(edge_index);
@@ -266,14 +266,15 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
                   apart_weight, prior_weight, staying.const_data_ptr<bool>(), min_size);
   const int64_t* const ends = edges.const_data_ptr<int64_t>();
   const float* const priors = costs.const_data_ptr<float>();
+  const Tensor counts = checked_counts(count, num_edges);
   for (int64_t e = 0; e < num_edges; ++e) {
     const int64_t a = ends[e], b = ends[num_edges + e];
     check_node(a, num_regions, e);
     check_node(b, num_regions, e);
     check(priors[e] >= 0 && priors[e] <= 1, "cost: expected numbers in [0, 1], got ", priors[e], " at edge ", e);
     if (a == b) continue;
-    graph.add_edge(static_cast<int32_t>(a), static_cast<int32_t>(b),
-                   static_cast<int64_t>(std::nearbyint(priors[e] * kUnit)));
+    graph.add_edges(static_cast<int32_t>(a), static_cast<int32_t>(b),
+                    static_cast<int64_t>(std::nearbyint(priors[e] * kUnit)), counts.const_data_ptr<int64_t>()[e]);
   }
 
   Merged merged(num_points, num_regions);
@@ -298,7 +299,7 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def(
-      "mask_merges(Tensor edge_index, Tensor cost, Tensor size, Tensor in_mask, Tensor in_frame, Tensor weight, Tensor "
+      "mask_merges(Tensor edge_index, Tensor cost, Tensor count, Tensor size, Tensor in_mask, Tensor in_frame, Tensor weight, Tensor "
       "frame_of_mask, float apart_weight, float prior_weight, float threshold, "
       "Tensor stays, int min_size) -> (Tensor, Tensor)");
 }

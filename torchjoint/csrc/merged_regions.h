@@ -25,15 +25,14 @@ inline double checked_cost(const int64_t* edges, const float* cost, int64_t num_
   return std::nearbyint(cost[e] * kUnit);
 }
 
-inline RegionAdjacencyGraph boundaries_of(const int64_t* edges, const float* cost, int64_t num_edges,
-                                          int64_t num_regions) {
-  RegionAdjacencyGraph graph(num_regions, num_edges);
+// How many parallel edges each of E edges stands for.
+inline Tensor checked_counts(const Tensor& count, int64_t num_edges) {
+  const Tensor counts = checked_array(count, ScalarType::Long, {num_edges}, "count");
   for (int64_t e = 0; e < num_edges; ++e) {
-    const double whole = checked_cost(edges, cost, num_edges, num_regions, e);
-    const int64_t a = edges[e], b = edges[num_edges + e];
-    if (a != b) graph.add(static_cast<int32_t>(a), static_cast<int32_t>(b), whole);
+    const int64_t got = counts.const_data_ptr<int64_t>()[e];
+    check(got > 0 && got <= kMaxCount, "count: expected numbers in [1, 2^31 - 1], got ", got, " at edge ", e);
   }
-  return graph;
+  return counts;
 }
 
 // Union-find of the merged regions, with their sizes. The root of a group is its lowest region.

@@ -134,14 +134,15 @@ class RegionAdjacencyGraph {
   size_t num_borders() const { return borders_.size(); }
   const RegionBoundary& border(int32_t number) const { return borders_[number]; }
 
-  // Adds an edge to the boundary between two regions a != b; returns the boundary's number. Call it only before merging.
-  int32_t add(int32_t a, int32_t b, double cost) {
+  // Adds `count` edges of a cost to the boundary between two regions a != b; returns the boundary's number. Call it only
+  // before merging.
+  int32_t add(int32_t a, int32_t b, double cost, int64_t count = 1) {
     const int32_t number = number_of_(key(a, b), static_cast<int32_t>(borders_.size()));
     if (number == static_cast<int32_t>(borders_.size())) {
       borders_.push_back({{a, b}, 0, 0, number, number});
     }
-    borders_[number].sum += cost;
-    ++borders_[number].count;
+    borders_[number].sum += cost * static_cast<double>(count);
+    borders_[number].count += count;
     return number;
   }
 

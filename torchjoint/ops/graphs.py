@@ -118,7 +118,9 @@ def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: flo
     return cast(Tensor, labels)
 
 
-def region_dendrogram(edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float) -> tuple[Tensor, Tensor]:
+def region_dendrogram(
+    edge_index: Tensor, cost: Tensor, num_regions: int, threshold: float, count: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
     """List the merges that :func:`torchjoint.ops.merge_regions` makes up to a threshold.
 
     The mean costs of the merges ascend, because each merge has the lowest mean of all boundaries. The merges connect
@@ -131,6 +133,7 @@ def region_dendrogram(edge_index: Tensor, cost: Tensor, num_regions: int, thresh
         cost: ``[E]`` float32 in [0, 1024].
         num_regions: number of regions R, < 2^31.
         threshold: largest mean cost of two regions that merge, >= 0.
+        count: ``[E]`` int64, how many parallel edges each edge stands for, >= 1; None: 1.
 
     Returns:
         ``[2, M]`` int64, for each merge the lowest regions a < b of the two groups that merge; ``[M]`` float64, the
@@ -151,8 +154,11 @@ def region_dendrogram(edge_index: Tensor, cost: Tensor, num_regions: int, thresh
     check_array("cost", cost, torch.float32, (edge_index.shape[1],), f"[E] = [{edge_index.shape[1]}]")
     check_number("num_regions", num_regions, (int,))
     check_number("threshold", threshold, (int, float))
-    result = call(torch.ops.torchjoint.region_dendrogram.default, edge_index, cost, num_regions, float(threshold))
-    return cast(tuple[Tensor, Tensor], result)
+    if count is None:
+        count = torch.ones_like(edge_index[0])
+    check_array("count", count, torch.int64, (edge_index.shape[1],), f"[E] = [{edge_index.shape[1]}]")
+    kernel = torch.ops.torchjoint.region_dendrogram.default
+    return cast(tuple[Tensor, Tensor], call(kernel, edge_index, cost, num_regions, float(threshold), count))
 
 
 def min_cut(

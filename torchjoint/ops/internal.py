@@ -137,26 +137,6 @@ def ascending_order(values: Tensor) -> Tensor:
     return cast(Tensor, call(torch.ops.torchjoint.ascending_order.default, values))
 
 
-def group_summaries(values: Tensor, order: Tensor, group: Tensor, num_groups: int, quantiles: Tensor) -> Tensor:
-    """Compute the mean and quantiles of the finite values in each group.
-
-    The values are sorted once for many groupings, each of which takes linear time. The quantile q of n values is the
-    one at index (n - 1) q in ascending order; the index is computed in float32 and rounded, ties to even.
-
-    Args:
-        values, order: ``[C]`` float32; ``[C]`` int32, a permutation that sorts the finite ones of each group, such as
-            that of :func:`ascending_order`.
-        group, num_groups: ``[C]`` int64, the group of each value, 0 ... G - 1, or -1 = none; G.
-        quantiles: ``[Q]`` float32 in [0, 1].
-
-    Returns:
-        ``[G, 1 + Q]`` float64: the mean, summed in the order of the values, and the quantiles; NaN for a group without
-        a finite value.
-    """
-    kernel = torch.ops.torchjoint.group_summaries.default
-    return cast(Tensor, call(kernel, values, order, group, num_groups, quantiles))
-
-
 def boosted_trees(
     values: Tensor, feature: Tensor, threshold: Tensor, missing_left: Tensor, left: Tensor, right: Tensor,
     leaf_value: Tensor,
@@ -188,20 +168,20 @@ def boosted_trees(
 
 
 def agreement_sums(
-    piece: Tensor, segment: Tensor, num_points: Tensor, segment_size: Tensor, frame_of_segment: Tensor,
-    of_piece: Tensor, num_regions: int, pairs: Tensor, min_points: int, resolution: float,
+    region: Tensor, segment: Tensor, num_points: Tensor, segment_size: Tensor, frame_of_segment: Tensor,
+    num_regions: int, pairs: Tensor, min_points: int, resolution: float,
 ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
     """Compare pairs of regions in all images that see both.
 
-    A region has the rows of all of its pieces, and the rows of one image segment are added. An image sees a region if
-    it sees at least ``min_points`` of its points. The agreement of two regions in an image is the sum, over its
+    The rows of one region and one image segment are added. An image sees a region if it sees at least ``min_points`` of
+    its points. The agreement of two regions in an image is the sum, over its
     segments, of the smaller of the two shares that the segment has of the regions' visible points. All sums are of
     whole numbers, so the order of the rows does not change the result.
 
     Args:
-        piece, segment, num_points: ``[I]`` int32, of each row; visible points of the piece in the image segment.
+        region, segment, num_points: ``[I]`` int32, of each row; visible points of the region in the image segment.
         segment_size, frame_of_segment: ``[L]`` int64: visible points, at most 2^31 - 1 in a frame; ascending.
-        of_piece, num_regions: ``[P]`` int64, region of each piece, 0 ... R - 1; R.
+        num_regions: R.
         pairs: ``[2, B]`` int64, pairs of regions.
         min_points: > 0.
         resolution: agreements are rounded to multiples of this before they are added; in [2^-31, 1].
@@ -213,7 +193,7 @@ def agreement_sums(
         n and n' are the numbers of points that the image sees; sum of n n'; sum of the rounded agreements, in units of
         the resolution; sum of their squares; number of images that see both.
     """
-    seen = (piece, segment, num_points, segment_size, frame_of_segment, of_piece, num_regions)
+    seen = (region, segment, num_points, segment_size, frame_of_segment, num_regions)
     result = call(torch.ops.torchjoint.agreement_sums.default, *seen, pairs, min_points, resolution)
     return cast("tuple[Tensor, Tensor, Tensor]", result)
 
@@ -240,7 +220,7 @@ def region_planes(
 
 
 def mask_merges(
-    edge_index: Tensor, cost: Tensor, size: Tensor, in_mask: Tensor, in_frame: Tensor, weight: Tensor,
+    edge_index: Tensor, cost: Tensor, count: Tensor, size: Tensor, in_mask: Tensor, in_frame: Tensor, weight: Tensor,
     frame_of_mask: Tensor, apart_weight: float, prior_weight: float, threshold: float, stays: Tensor | None = None,
     min_size: int = 0,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
@@ -258,6 +238,7 @@ def mask_merges(
     Args:
         edge_index: ``[2, E]`` int64, region numbers. Edges inside a region are ignored. Parallel edges all count.
         cost: ``[E]`` float32 in [0, 1], prior of each edge; rounded to multiples of 2^-20.
+        count: ``[E]`` int64 > 0, how many parallel edges each edge stands for.
         size: ``[R]`` int64 > 0, points of each region.
         in_mask, in_frame: ``[3, I]``, ``[3, J]`` int64: region, mask or frame, the number of the region's points in it.
         weight, frame_of_mask: ``[M]`` int64; the weight s is in [0, WEIGHT_UNIT].
@@ -273,7 +254,8 @@ def mask_merges(
     if stays is None:
         stays = torch.zeros(len(size), dtype=torch.bool)
     masks = (in_mask, in_frame, weight, frame_of_mask, apart_weight, prior_weight)
-    result = call(torch.ops.torchjoint.mask_merges.default, edge_index, cost, size, *masks, threshold, stays, min_size)
+    kernel = torch.ops.torchjoint.mask_merges.default
+    result = call(kernel, edge_index, cost, count, size, *masks, threshold, stays, min_size)
     return cast("tuple[Tensor, Tensor]", result)
 
 
@@ -481,11 +463,8 @@ register_fakes(
     window_overlaps=lambda order, *_: _edges_in_image(order, torch.float64),
     line_maxima=lambda order, *_: _edges_in_image(order, torch.uint8),
     ascending_order=lambda values: values.new_empty(values.shape, dtype=torch.int32),
-    group_summaries=lambda values, _order, _group, num_groups, quantiles: values.new_empty(
-        num_groups, 1 + len(quantiles), dtype=torch.float64
-    ),
     boosted_trees=lambda values, *_: values.new_empty(len(values), dtype=torch.float64),
-    agreement_sums=lambda *seen: _agreement_sums(seen[6], seen[7]),
+    agreement_sums=lambda *seen: _agreement_sums(seen[5], seen[6]),
     region_planes=lambda points, *_: (points.new_empty(points.shape), points.new_empty(points.shape)),
     mask_merges=lambda edge_index, *_: _mask_merges(edge_index),
     local_spacing=lambda _points, reach, *_: torch.empty_like(reach),

@@ -154,30 +154,29 @@ def _majority(instance: Tensor, of_point: Tensor) -> Tensor:
     return values[most_frequent(number, of_point, torch.ones_like(number))]
 
 
-def boundary_examples(evidence: PieceGraph, region: Tensor, instance: Tensor) -> BoundaryExamples:
-    """The boundaries of a scene with their features, and whether they are borders of objects."""
-    if int(region.max()) == 0:
+def boundary_examples(evidence: PieceGraph, of_piece: Tensor, instance: Tensor) -> BoundaryExamples:
+    """The boundaries of regions of pieces [P] with their features, and whether they are borders of objects."""
+    if int(of_piece.max()) == 0:
         return BoundaryExamples(
             torch.empty(2, 0, dtype=torch.int64), torch.empty(0, len(FEATURE_NAMES)), np.empty(0, bool), np.empty(0)
         )
-    pairs, values, _ = boundary_features(evidence, region)
+    graph, region = evidence.grouped(of_piece), of_piece[evidence.piece]
     instances, of_point = torch.unique(instance.clamp(min=-1), return_inverse=True)
-    num_regions = int(region.max()) + 1
-    counts = torch.bincount(region * len(instances) + of_point, minlength=num_regions * len(instances))
-    counts = counts.view(num_regions, len(instances)).double()
+    counts = torch.bincount(region * len(instances) + of_point, minlength=len(graph) * len(instances))
+    counts = counts.view(len(graph), len(instances)).double()
     size = counts.sum(1)
     counts = counts[:, instances >= 0]
     most, majority = counts.max(1)
     known = counts.sum(1)
     purity = most / known.clamp(min=1)
-    a, b = pairs
+    a, b = graph.pairs
     weight = purity[a] * purity[b]
     has_majority = known > LEAST_KNOWN * size
     weight = weight * (has_majority[a] & has_majority[b])
     # Small things count as much as large ones, as in the scores of segmentations.
     # Large scenes count more than small ones, but less than in proportion to their boundaries.
     weight *= math.sqrt(int((weight > 0).sum())) / max(float(weight.sum()), 1e-9)
-    return BoundaryExamples(pairs, values, (majority[a] != majority[b]).numpy(), weight.numpy())
+    return BoundaryExamples(graph.pairs, boundary_features(graph), (majority[a] != majority[b]).numpy(), weight.numpy())
 
 
 class Sample(NamedTuple):

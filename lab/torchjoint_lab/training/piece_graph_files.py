@@ -11,14 +11,15 @@ from typing import overload
 import torch
 
 from torchjoint.runtime.files import read_checked, write_checked
+from torchjoint.segments.learned.boundaries import Boundaries
 from torchjoint.segments.learned.images import ImageCounts
 from torchjoint.segments.learned.occluded_surfaces import Occlusions
-from torchjoint.segments.learned.piece_graph import BoundaryEdges, PieceGraph
-from torchjoint.segments.learned.region_statistics import Measure, RegionStatistics
+from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.segments.learned.region_statistics import RegionStatistics
 from torchjoint_lab.training.boundary_examples import LabelledEvidence
 
 #: The types that a file may contain besides tensors and numbers; none of them runs code when it is made.
-_TYPES = (LabelledEvidence, PieceGraph, BoundaryEdges, Measure, RegionStatistics, ImageCounts, Occlusions)
+_TYPES = (LabelledEvidence, PieceGraph, Boundaries, RegionStatistics, ImageCounts, Occlusions)
 
 #: torch keeps the types that are safe for the whole process: the first of two threads to end takes them from the other.
 _ONE_AT_A_TIME = Lock()

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.segments.learned.agglomeration import crossing_edges, merging_steps
+from torchjoint.segments.learned.agglomeration import merging_steps
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoostedTrees, calibrated
 from torchjoint.segments.learned.piece_graph import PieceGraph
@@ -31,14 +31,14 @@ class SceneMerging:
 
     def __init__(self, scene: int, variant: int) -> None:
         self.scene, self.variant = scene, variant
-        self.region: Tensor  # [N] int64, before the current round
+        self.of_piece: Tensor  # [P] int64, region of each piece before the current round
         self.examples: BoundaryExamples  # of these regions
 
     def start(self, scene: LabelledEvidence) -> None:
         """Begins with the pieces."""
-        self.region = scene.evidence.piece
+        self.of_piece = torch.arange(len(scene.evidence))
         if self.variant == 0:  # the pieces of the other variants are the same, and teach nothing new
-            self.examples = boundary_examples(scene.evidence, self.region, scene.instance)
+            self.examples = boundary_examples(scene.evidence, self.of_piece, scene.instance)
 
     def advance(
         self,
@@ -61,8 +61,8 @@ class SceneMerging:
         judge = _Judge(trees, calibration, options.noise if self.variant > 0 else 0.0, np.random.default_rng(seed))
         for index, threshold in merging_steps(options.thresholds):
             if index == number - 1:
-                self.region = _merged(scene.evidence, self.region, threshold, judge)
-        self.examples = boundary_examples(scene.evidence, self.region, scene.instance)
+                self.of_piece = _merged(scene.evidence, self.of_piece, threshold, judge)
+        self.examples = boundary_examples(scene.evidence, self.of_piece, scene.instance)
 
 
 class _Judge(NamedTuple):
@@ -82,31 +82,11 @@ class _Judge(NamedTuple):
         return torch.sigmoid(torch.logit(probability, eps=1e-6) + disturbance)
 
 
-def _merged(evidence: PieceGraph, region: Tensor, threshold: float, judge: _Judge) -> Tensor:
-    """Merges regions [N] up to a threshold."""
-    pairs, values, of_edge = boundary_features(evidence, region)
-    if pairs.shape[1] == 0:
-        return region
-    return merge_by_probability(region, pairs, of_edge, judge(values), threshold)
-
-
-def merge_by_probability(
-    region: Tensor, pairs: Tensor, of_edge: Tensor, probability: Tensor, threshold: float
-) -> Tensor:
-    """Repeatedly merges the two regions whose boundary has the lowest mean probability, up to the threshold.
-
-    The mean is over the edges of the point graph that cross the boundary.
-
-    Args:
-        region: [N] int64, 0 ... R - 1, region of each point.
-        pairs: [2, B] int64, the pairs of regions a < b that edges connect, in ascending order.
-        of_edge: [C] int64, the pair that each edge connects, -1 = none.
-        probability: [B] that the two regions of a pair belong to different objects.
-        threshold: largest mean probability of two regions that merge.
-
-    Returns:
-        [N] int64 regions 0, 1, ..., numbered by their first old regions.
-    """
-    ends, crossing = crossing_edges(pairs, of_edge)
-    size = torch.ones(int(region.max()) + 1, dtype=torch.int64)
-    return ops.merge_regions(ends, probability.float()[crossing], size, threshold)[region]
+def _merged(evidence: PieceGraph, of_piece: Tensor, threshold: float, judge: _Judge) -> Tensor:
+    """Merges regions of pieces [P] up to a threshold: the mean probability over the edges between two regions."""
+    graph = evidence.grouped(of_piece)
+    if graph.pairs.shape[1] == 0:
+        return of_piece
+    cost, count = judge(boundary_features(graph)).float(), graph.boundaries.num_edges
+    joined, _ = ops.region_dendrogram(graph.pairs, cost, len(graph), threshold, count)
+    return ops.connected_components(joined, len(graph))[of_piece]

@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 from torchjoint_lab.synthetic import make_domain_scene
-from torchjoint_lab.training.scene_merging import merge_by_probability
 
 import torchjoint as tj
+from torchjoint import ops
+from torchjoint.runtime.groups import first_places
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
     HEIGHT_STEP,
@@ -60,34 +61,21 @@ def evidence(segmenter):
     return build_piece_graph(graph, graph.scales, segmenter.state)
 
 
-class TestMerging:
-    def test_nothing_and_everything(self, evidence):
-        piece, pairs, of_edge = evidence.piece, evidence.pairs, evidence.edges.pair
-        half = torch.full((pairs.shape[1],), 0.5, dtype=torch.float64)
-        assert torch.equal(merge_by_probability(piece, pairs, of_edge, half, 0.49), piece)
-        merged = merge_by_probability(piece, pairs, of_edge, half, 0.5)
-        assert merged.max() < 20  # only what no edge connects stays apart
-        first, second = merged[piece.new_tensor([(piece == p).nonzero()[0, 0] for p in pairs.flatten()])].view(2, -1)
-        assert torch.equal(first, second)
-
-    def test_one_pair(self, evidence):
-        for chosen in (0, 17, evidence.pairs.shape[1] - 1):
-            probability = torch.ones(evidence.pairs.shape[1], dtype=torch.float64)
-            probability[chosen] = 0.1
-            a, b = evidence.pairs[:, chosen].tolist()
-            merged = merge_by_probability(evidence.piece, evidence.pairs, evidence.edges.pair, probability, 0.2)
-            expected = torch.where(evidence.piece == b, a, evidence.piece)
-            assert torch.equal(merged, torch.where(expected > b, expected - 1, expected))
+def by_probability(graph, probability, threshold):
+    """The merged regions of the pieces, by the operator that gives labels instead of merges, edge by edge."""
+    count = graph.boundaries.num_edges
+    edges, cost = graph.pairs.repeat_interleave(count, 1), probability.float().repeat_interleave(count)
+    return ops.merge_regions(edges, cost, torch.ones(len(graph), dtype=torch.int64), threshold)
 
 
 def after_rounds(evidence, model, *rounds):
-    """The labels after rounds (number, threshold), by the operator that gives labels instead of merges."""
-    region = evidence.piece
+    """The labels after rounds (number, threshold)."""
+    region, graph = evidence.piece, evidence
     for number, threshold in rounds:
-        pairs, values, of_edge = boundary_features(evidence, region)
-        if pairs.shape[1] == 0:
+        if graph.pairs.shape[1] == 0:
             break
-        region = merge_by_probability(region, pairs, of_edge, model.probability(number, values), threshold)
+        group = by_probability(graph, model.probability(number, boundary_features(graph)), threshold)
+        region, graph = group[region], graph.grouped(group)
     return region
 
 
@@ -127,10 +115,8 @@ class TestRounds:
     def test_the_ends(self, evidence):
         hierarchy = build_hierarchy(evidence, ByCrease(0.1, 0.3))
         assert torch.equal(hierarchy.at(1), evidence.piece)
-        pairs = evidence.pairs
-        together = torch.zeros(pairs.shape[1], dtype=torch.float64)
-        connected = merge_by_probability(evidence.piece, pairs, evidence.edges.pair, together, 1.0)
-        assert torch.equal(hierarchy.at(0), connected)
+        connected = by_probability(evidence, torch.zeros(evidence.pairs.shape[1]), 1.0)
+        assert torch.equal(hierarchy.at(0), connected[evidence.piece])
 
     def test_heights_never_fall_on_the_way_up(self, evidence):
         hierarchy = build_hierarchy(evidence, ByCrease(0.1, 0.2, 0.3))
@@ -151,7 +137,8 @@ class TestRounds:
     def test_stops_when_no_boundary_is_left(self, evidence):
         model = ByCrease(1.0, 1.0, 1.0)
         labels = build_hierarchy(evidence, model).at()
-        assert boundary_features(evidence, labels).pairs.shape[1] == 0
+        first, second = labels[first_places(evidence.piece)[evidence.pairs]]
+        assert torch.equal(first, second)
         assert model.asked[-1][1] < evidence.pairs.shape[1]  # halfway, some boundaries are left
         assert len(model.asked) == 2
 

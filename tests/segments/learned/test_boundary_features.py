@@ -10,20 +10,18 @@ import torchjoint as tj
 from torchjoint.cloud.graph import build_point_graph
 from torchjoint.cloud.scales import measure_scales
 from torchjoint.scene import Cloud, Scene
-from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, BoundaryFeatures, boundary_features
+from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.segments.learned.images import image_agreement, segments_of_pieces
 from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.segments.learned.region_statistics import (
     InnerEdges,
-    Measure,
     Surface,
     axes,
     bulge_of_unions,
     covariance_of_unions,
     pooled,
     statistics_of_points,
-    summarize,
 )
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
@@ -37,13 +35,13 @@ OF_IMAGES = {"seen_share", "log_views", "overlap_gain", "better_overlap", "worse
 }
 
 
-def value(features: BoundaryFeatures, name: str, row: int = 0) -> float:
-    return features.values[row, FEATURE_NAMES.index(name)].item()
+def value(features: torch.Tensor, name: str, row: int = 0) -> float:
+    return features[row, FEATURE_NAMES.index(name)].item()
 
 
-def missing(features: BoundaryFeatures) -> set[str]:
+def missing(features: torch.Tensor) -> set[str]:
     """The features that no boundary has."""
-    return {name for name, column in zip(FEATURE_NAMES, features.values.T, strict=True) if column.isnan().all()}
+    return {name for name, column in zip(FEATURE_NAMES, features.T, strict=True) if column.isnan().all()}
 
 
 def corner(step=0.01, side=20):
@@ -68,10 +66,10 @@ class TestCorner:
         evidence = evidence_of(points, normals)
         half = len(points) // 2
         assert evidence.piece.tolist() == [0] * half + [1] * half
-        features = boundary_features(evidence, evidence.piece)
-        assert features.pairs.tolist() == [[0], [1]]
-        assert features.values.shape == (1, len(FEATURE_NAMES))
-        assert features.values.dtype == torch.float32
+        features = boundary_features(evidence)
+        assert evidence.pairs.tolist() == [[0], [1]]
+        assert features.shape == (1, len(FEATURE_NAMES))
+        assert features.dtype == torch.float32
         side, step = 20, 0.01
         deviations = [step * math.sqrt((count**2 - 1) / 12) for count in (side, 2 * side)]
         extent = math.hypot(*deviations, side / 4 * step * math.sqrt(2))  # of floor and wall together
@@ -99,17 +97,17 @@ class TestCorner:
             "bend_above_roughness": 1 / 0.02,
         }
         assert {name: value(features, name) for name in expected} == pytest.approx(expected, abs=2e-3)
-        count = len(evidence.edges.pair)
+        count = int(evidence.boundaries.num_edges)
         assert value(features, "boundary_share") == pytest.approx(count / (count + half))
         assert value(features, "boundary_per_perimeter_large") == pytest.approx(count / math.sqrt(half))
 
     def test_no_colours_and_no_images(self):
         points, normals = corner()
         evidence = evidence_of(points, normals)
-        assert missing(boundary_features(evidence, evidence.piece)) == OF_COLORS | OF_IMAGES
+        assert missing(boundary_features(evidence)) == OF_COLORS | OF_IMAGES
         colors = torch.where(normals > 0.5, 0.2, 0.7)
         evidence = evidence_of(points, normals, colors)
-        features = boundary_features(evidence, evidence.piece)
+        features = boundary_features(evidence)
         assert missing(features) == OF_IMAGES
         assert value(features, "color_spread_small") == pytest.approx(0, abs=1e-3)
         assert value(features, "color_step_low") == pytest.approx(value(features, "color_step_high"))
@@ -122,21 +120,12 @@ class TestCorner:
 
     def test_one_region_has_no_boundary(self):
         evidence = evidence_of(*corner())
-        features = boundary_features(evidence, torch.zeros_like(evidence.piece))
-        assert features.pairs.shape == (2, 0)
-        assert features.values.shape == (0, len(FEATURE_NAMES))
+        whole = evidence.grouped(torch.zeros(len(evidence), dtype=torch.int64))
+        assert whole.pairs.shape == (2, 0)
+        assert boundary_features(whole).shape == (0, len(FEATURE_NAMES))
 
 
 class TestSummaries:
-    def test_mean_and_quantiles_by_hand(self):
-        values = torch.tensor([5.0, 1, 3, torch.nan, 2, 4, 7, torch.nan])
-        group = torch.tensor([0, 0, 0, 0, 0, 2, -1, 1])
-        result = summarize(Measure.of(values), group, 3)
-        # 1 2 3 5: places 0.3, 1.5 and 2.7 are rounded to 0, 2 and 3.
-        assert result[0].tolist() == [11 / 4, 1, 3, 5]
-        assert result[1].isnan().all()
-        assert result[2].tolist() == [4, 4, 4, 4]
-
     def test_points_without_colors_do_not_count(self):
         """Region 0 has two points with a colour, region 1 one, region 2 none."""
         lab, none = torch.tensor([[1.0, 2, 3], [3, 2, 1], [5, 5, 5]]), [torch.nan] * 3
@@ -223,7 +212,7 @@ PAIRS = torch.tensor([[0, 0, 1], [1, 2, 2]])
 class TestImages:
     def agreement(self, *observations, of_piece=(0, 1, 2), pairs=PAIRS):
         images = segments_of_pieces(PIECES, observations)
-        columns = image_agreement(images, torch.tensor(of_piece), max(of_piece) + 1, pairs)
+        columns = image_agreement(images.grouped(torch.tensor(of_piece)), max(of_piece) + 1, pairs)
         return torch.stack(list(columns.values()), 1)
 
     def test_by_hand(self, seen):
@@ -260,14 +249,14 @@ def scene(scene_of):
     return scene_of(3).scene
 
 
-def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, PieceGraph, BoundaryFeatures]:
+def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, PieceGraph, torch.Tensor]:
     segmenter = tj.JointSegmenter(LEARNED)
     segmenter.reset(scene.points, scene.colors)
     segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
     graph = segmenter.graph
     assert graph.scales is not None
     evidence = build_piece_graph(graph, graph.scales, segmenter.state)
-    return segmenter, evidence, boundary_features(evidence, evidence.piece)
+    return segmenter, evidence, boundary_features(evidence)
 
 
 @pytest.fixture(scope="module")
@@ -278,22 +267,22 @@ def reference(scene):
 class TestInvariance:
     def test_a_scene_has_all_features(self, reference):
         _, evidence, features = reference
-        assert features.values.shape[0] > 50
+        assert features.shape[0] > 50
         assert missing(features) == set()
-        assert torch.equal(features.pairs, evidence.pairs)
-        assert not features.values.isinf().any()
+        assert features.shape[0] == evidence.pairs.shape[1]
+        assert not features.isinf().any()
 
     def test_order_of_frames(self, scene, reference):
         _, evidence, features = seen_by_learned(scene, order=[4, 0, 5, 2, 1, 3])
         assert torch.equal(evidence.piece, reference[1].piece)
-        assert torch.equal(features.values.nan_to_num(-9), reference[2].values.nan_to_num(-9))
+        assert torch.equal(features.nan_to_num(-9), reference[2].nan_to_num(-9))
 
     def test_threads(self, scene, reference, set_threads):
         for threads in (1, 3):
             set_threads(threads)
             _, evidence, features = seen_by_learned(scene)
             assert torch.equal(evidence.piece, reference[1].piece)
-            assert torch.equal(features.values.nan_to_num(-9), reference[2].values.nan_to_num(-9))
+            assert torch.equal(features.nan_to_num(-9), reference[2].nan_to_num(-9))
 
     def test_units(self, scene, reference):
         frames = []
@@ -304,7 +293,7 @@ class TestInvariance:
         larger = Scene(2 * scene.points, frames, colors=scene.colors)
         _, evidence, features = seen_by_learned(larger)
         assert torch.equal(evidence.piece, reference[1].piece)
-        torch.testing.assert_close(features.values, reference[2].values, rtol=1e-4, atol=1e-4, equal_nan=True)
+        torch.testing.assert_close(features, reference[2], rtol=1e-4, atol=1e-4, equal_nan=True)
 
     def test_without_observations_images_do_not_count(self, reference):
         segmenter, _, _ = reference
@@ -312,20 +301,7 @@ class TestInvariance:
         unseen = dataclasses.replace(segmenter.state, observations=Observations())
         evidence = build_piece_graph(graph, graph.scales, unseen)
         assert evidence.images is None
-        assert missing(boundary_features(evidence, evidence.piece)) == OF_IMAGES
-
-
-def test_edges_inside_regions_do_not_count():
-    generator = torch.Generator().manual_seed(0)
-    points, colors = torch.rand(300, 3, generator=generator), torch.rand(300, 3, generator=generator)
-    evidence = evidence_of(points, colors=colors)
-    region = (evidence.piece > 0).long()  # one piece, and all others
-    fewer = evidence.between(region)
-    assert evidence.between(evidence.piece) is evidence
-    assert 0 < len(fewer.edges.pair) < len(evidence.edges.pair) / 2
-    expected, got = boundary_features(evidence, region), boundary_features(fewer, region)
-    assert torch.equal(got.pairs, expected.pairs)
-    assert torch.equal(got.values.nan_to_num(-1), expected.values.nan_to_num(-1))
+        assert missing(boundary_features(evidence)) == OF_IMAGES
 
 
 def test_names_are_unique():

@@ -178,7 +178,7 @@ class TestConsensus:
     def test_trees_made_draw_by_draw_are_the_same(self, evidence, monkeypatch):
         model = load_boundary_model()
         _, expected = segments_of_judges([evidence] * 3, Silent(model), model.thresholds)
-        monkeypatch.setattr("torchjoint.segments.learned.consensus.MANY_EDGES", 0)
+        monkeypatch.setattr("torchjoint.segments.learned.consensus.MANY_BOUNDARIES", 0)
         _, found = segments_of_judges([evidence] * 3, Silent(model), model.thresholds)
         for one, other in zip(expected, found, strict=True):
             assert all(map(torch.equal, one, other))

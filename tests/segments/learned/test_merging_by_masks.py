@@ -121,7 +121,7 @@ def test_what_a_mask_confirms_keeps_its_outline(keeps: bool) -> None:
     linkage = MaskLinkage(masks, size, keeps_outlines=keeps)
     assert linkage.confirmed(torch.arange(4)).tolist() == [True, True, False, False]
     ends = torch.tensor([[0, 0, 1, 1], [1, 3, 2, 3]])
-    joined, _ = linkage.merges(torch.arange(4), ends, torch.zeros(4), threshold=1.0)
+    joined, _ = linkage.merges(torch.arange(4), ends, torch.zeros(4), torch.ones(4).long(), threshold=1.0)
     group = tj.ops.connected_components(joined, 4).tolist()
     assert group == ([0, 1, 1, 2] if keeps else [0, 0, 0, 0])  # only the part joins its whole
 

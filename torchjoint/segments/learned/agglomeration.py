@@ -7,7 +7,7 @@ merge only regions that almost certainly belong together. All merges form a tree
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import torch
@@ -18,10 +18,9 @@ from torchjoint.runtime.groups import first_places
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.masks import MaskLinkage
-from torchjoint.segments.learned.occluded_surfaces import Occlusions, continued_surfaces
+from torchjoint.segments.learned.occluded_surfaces import continued_surfaces
 from torchjoint.segments.learned.piece_graph import PieceGraph
-from torchjoint.segments.learned.region_statistics import sum_by
-from torchjoint.segments.learned.small_regions import MIN_SIZE, merges_by_contact
+from torchjoint.segments.learned.small_regions import merges_by_contact
 
 #: Thresholds of the rounds after the model's own. At 1 all regions that touch have merged. There are several rounds,
 #: because the model judges larger regions again. They cost little, because few regions are left.
@@ -65,10 +64,27 @@ def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
     return [*steps, steps[-1]]
 
 
-def crossing_edges(pairs: Tensor, of_edge: Tensor) -> tuple[Tensor, Tensor]:
-    """The edges [2, c] int64 between regions, and their boundaries [c] int64."""
-    crossing = of_edge[of_edge >= 0]
-    return pairs.index_select(1, crossing), crossing
+@dataclass(frozen=True)
+class Regions:
+    """The regions of a step of the merging.
+
+    Attributes:
+        graph: the regions as pieces.
+        of_piece: [P] int64, region of each piece, 0 ... R - 1, numbered by their first pieces.
+    """
+
+    graph: PieceGraph
+    of_piece: Tensor
+
+    @classmethod
+    def of_pieces(cls, pieces: PieceGraph) -> Regions:
+        """Each piece is a region."""
+        return cls(pieces, torch.arange(len(pieces)))
+
+    def merged(self, pairs: Tensor) -> Regions:
+        """The regions after merging pairs [2, M]."""
+        group = ops.connected_components(pairs, len(self.graph))
+        return Regions(self.graph.grouped(group), group[self.of_piece]) if pairs.shape[1] else self
 
 
 def build_hierarchy(pieces: PieceGraph, model: Model) -> Hierarchy:
@@ -89,23 +105,31 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
     steps, default = merging_steps(thresholds), default_height(thresholds)
     last, highest = steps[-1]
     more = [(last, threshold) for threshold in COARSER if threshold > highest]
-    merges, region = Merges(len(pieces.statistics.size)), pieces.piece
+    merges, regions = Merges(len(pieces)), Regions.of_pieces(pieces)
     linkage = MaskLinkage.of(pieces.masks, pieces.statistics.size)
     if linkage is not None:  # a first merging, which shows how far the masks contradict each other
-        by_masks = _merge_in_steps(pieces, judge, steps, linkage, region, Merges(len(pieces.statistics.size)))
-        linkage = linkage.calibrated(pieces.regions_of_pieces(by_masks))
-    region = _merge_in_steps(pieces, judge, steps[1:] if begun else steps, linkage, region, merges)
+        linkage = linkage.calibrated(_merge_in_steps(regions, judge, steps, linkage, Merges(len(pieces))).of_piece)
+    regions = _merge_in_steps(regions, judge, steps[1:] if begun else steps, linkage, merges)
     if linkage is not None:
-        region = _merge_in_steps(pieces, judge, [(last, highest)], linkage, region, merges, far=True)
-        region = _merge_in_steps(pieces, judge, [(last, highest)], linkage, region, merges, only_crumbs=True)
-    elif pieces.occlusions is not None:
-        region = _join_behind_occluders(pieces, pieces.occlusions, region, merges, highest)
+        regions = _merge_in_steps(regions, judge, [(last, highest)], linkage, merges, far=True)
+        regions = _merge_in_steps(regions, judge, [(last, highest)], linkage, merges, only_crumbs=True)
+    elif regions.graph.occlusions is not None:
+        graph = regions.graph
+        pairs, against = continued_surfaces(regions.graph.occlusions, graph.statistics, graph.pairs)
+        joined, height = ops.region_dendrogram(pairs, against, len(graph), highest)
+        # At the height of the threshold, so all finer levels keep the regions apart.
+        merges.add(regions.of_piece, joined, torch.full_like(height, highest), highest)
+        regions = regions.merged(joined)
     to_default = [step for step in more if step[1] <= default]
     outlined = None if linkage is None else replace(linkage, keeps_outlines=True)
-    region = _merge_in_steps(pieces, judge, to_default, outlined, region, merges)
+    regions = _merge_in_steps(regions, judge, to_default, outlined, merges)
     if linkage is not None:
-        region = _join_small_regions(pieces, linkage, region, merges, default)
-    _merge_in_steps(pieces, judge, [step for step in more if step[1] > default], linkage, region, merges)
+        graph = regions.graph
+        size, stays = graph.statistics.size, linkage.confirmed(regions.of_piece)
+        joined = merges_by_contact(graph.pairs, graph.boundaries.num_edges, size, stays)
+        merges.add(regions.of_piece, joined, torch.full((joined.shape[1],), default, dtype=torch.float64), default)
+        regions = regions.merged(joined)
+    _merge_in_steps(regions, judge, [step for step in more if step[1] > default], linkage, merges)
     return merges.hierarchy(pieces.piece, default)
 
 
@@ -115,86 +139,45 @@ def default_height(thresholds: Sequence[float]) -> float:
 
 
 def _merge_in_steps(
-    pieces: PieceGraph,
+    regions: Regions,
     judge: Judge,
     steps: Sequence[tuple[int, float]],
     linkage: MaskLinkage | None,
-    region: Tensor,
     merges: Merges,
     only_crumbs: bool = False,
     far: bool = False,
-) -> Tensor:
-    """Merges regions [N] in steps, adds the merges to `merges`, and returns the new regions [N].
+) -> Regions:
+    """Merges regions in steps, adds the merges to `merges`, and returns the new regions.
 
     With `far`, regions in one mask may merge even if they do not touch. With `only_crumbs`, only small regions merge.
     """
     for index, threshold in steps:
-        pieces = pieces.between(region)
-        pairs, values, of_edge = boundary_features(pieces, region)
+        graph, of_piece = regions.graph, regions.of_piece
+        pairs, count = graph.pairs, graph.boundaries.num_edges
         if pairs.shape[1] == 0 and not far:
             break
-        num_regions = int(region.max()) + 1
-        of_piece = pieces.regions_of_pieces(region)
-        ends, crossing = crossing_edges(pairs, of_edge)
-        cost = judge(index, values, first_places(of_piece)[pairs[0]]).float().index_select(0, crossing)
+        cost = judge(index, boundary_features(graph), first_places(of_piece)[pairs[0]]).float()
         if linkage is not None and far:
-            ends, cost = _with_far_pairs(ends, cost, pairs, linkage.far_pairs(of_piece), num_regions)
+            pairs, cost, count = _with_far_pairs(pairs, cost, count, linkage.far_pairs(of_piece), len(graph))
         if linkage is None:
-            joined, height = ops.region_dendrogram(ends, cost, num_regions, threshold)
+            joined, height = ops.region_dendrogram(pairs, cost, len(graph), threshold, count)
         elif only_crumbs:
-            joined, height = linkage.crumbs(of_piece, ends, cost)
+            joined, height = linkage.crumbs(of_piece, pairs, cost, count)
         else:
-            joined, height = linkage.merges(of_piece, ends, cost, threshold)
+            joined, height = linkage.merges(of_piece, pairs, cost, count, threshold)
         merges.add(of_piece, joined, height, threshold)
-        region = ops.connected_components(joined, num_regions)[region]
-    return region
-
-
-def _join_behind_occluders(
-    pieces: PieceGraph, occlusions: Occlusions, region: Tensor, merges: Merges, threshold: float
-) -> Tensor:
-    """Merges regions [N] that are one surface behind an occluder, and returns the new regions [N].
-
-    The merges have the height of the threshold, so all finer levels keep the regions apart.
-    """
-    of_piece = pieces.regions_of_pieces(region)
-    num_regions = int(region.max()) + 1
-    pairs, against = continued_surfaces(occlusions, pieces.statistics, pieces.pairs, of_piece)
-    joined, height = ops.region_dendrogram(pairs, against, num_regions, threshold)
-    merges.add(of_piece, joined, torch.full_like(height, threshold), threshold)
-    return ops.connected_components(joined, num_regions)[region]
-
-
-def _join_small_regions(
-    pieces: PieceGraph, linkage: MaskLinkage, region: Tensor, merges: Merges, threshold: float
-) -> Tensor:
-    """Merges small regions [N] that no mask confirms with whom they touch most, and returns the new regions [N]."""
-    of_piece = pieces.regions_of_pieces(region)
-    joined = merges_of_small_regions(pieces, of_piece, linkage.confirmed(of_piece))
-    merges.add(of_piece, joined, torch.full((joined.shape[1],), threshold, dtype=torch.float64), threshold)
-    return ops.connected_components(joined, int(of_piece.max()) + 1)[region]
-
-
-def merges_of_small_regions(pieces: PieceGraph, of_piece: Tensor, stays: Tensor | None = None) -> Tensor:
-    """The merges of the small regions of pieces, as :func:`merges_by_contact` gives them.
-
-    Args:
-        pieces: a graph with all its edges.
-        of_piece: [P] int64, region of each piece, 0 ... R - 1.
-        stays: as there.
-    """
-    ends = of_piece[pieces.pairs].index_select(1, pieces.edges.pair)
-    size = sum_by(of_piece, pieces.statistics.size.long(), int(of_piece.max()) + 1)
-    return merges_by_contact(ends[:, ends[0] != ends[1]], size, MIN_SIZE, stays)
+        regions = regions.merged(joined)
+    return regions
 
 
 def _with_far_pairs(
-    ends: Tensor, cost: Tensor, touching: Tensor, in_one_mask: Tensor, num_regions: int
-) -> tuple[Tensor, Tensor]:
+    pairs: Tensor, cost: Tensor, count: Tensor, in_one_mask: Tensor, num_regions: int
+) -> tuple[Tensor, Tensor, Tensor]:
     """Adds an edge of cost 1 for each pair of regions that lie in one mask and do not touch."""
-    key, known = (pairs[0] * num_regions + pairs[1] for pairs in (in_one_mask, touching))
+    key, known = (ends[0] * num_regions + ends[1] for ends in (in_one_mask, pairs))
     far = in_one_mask[:, ~torch.isin(key, known)]
-    return torch.cat([ends, far], 1), torch.cat([cost, torch.ones(far.shape[1], dtype=torch.float32)])
+    one = torch.ones(far.shape[1], dtype=torch.int64)
+    return torch.cat([pairs, far], 1), torch.cat([cost, one.float()]), torch.cat([count, one])
 
 
 class Merges:

@@ -12,19 +12,15 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from torchjoint.cloud._vectors import dot, length
-from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.learned.images import image_agreement
 from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.region_statistics import (
-    Measure,
     RegionStatistics,
     axes,
     bulge_of_unions,
     color_contrasts,
     covariance_of_unions,
-    pooled,
     sum_by,
-    summarize,
 )
 
 #: Smallest divisor, because regions of one point or of points in a line or plane have widths of 0.
@@ -47,10 +43,8 @@ def _context(name: str) -> tuple[str, ...]:
 
 #: Values by the names of features, [B] each.
 Columns = dict[str, Tensor]
-#: Measures of edges of which a boundary has a mean and quantiles.
-SUMMARIES = (
-    "crease", "bend", "wide_bend", "offset", "larger_offset", "gap", "color_step", "disagreement", "contour"
-)  # fmt: skip
+#: The quantiles of a measure over the edges of a boundary; they follow the mean.
+QUANTILES = (0.1, 0.5, 0.9)
 _SHAPE = ("noise_ratio", "width", "elongation", "thickness", "flatness")
 
 #: The names of the features. The order is part of a trained model.
@@ -112,70 +106,44 @@ FEATURE_NAMES: tuple[str, ...] = (
 )
 
 
-class BoundaryFeatures(NamedTuple):
-    """The features of B boundaries, in the order of their pairs."""
+class _Sides(NamedTuple):
+    """The two regions of each of B boundaries, and how many edges cross it."""
 
-    pairs: Tensor  #: [2, B] int64, regions a < b
-    values: Tensor  #: [B, F] float32, one column for each of FEATURE_NAMES, NaN = missing
-    of_edge: Tensor  #: [C] int64, boundary of each edge of PieceGraph.edges, -1 = inside a region
-
-
-class _Boundaries(NamedTuple):
-    """The boundaries between R regions."""
-
-    of_piece: Tensor  #: [P] int64, region of each piece
-    num_regions: int  #: R
-    pairs: Tensor  #: [2, B] int64
-    edges: Tensor  #: [c] int64, the edges of PieceGraph.edges that cross a boundary
-    of_edge: Tensor  #: [c] int64, boundary of each of these edges
-    of_any_edge: Tensor  #: [C] int64, boundary of each edge of PieceGraph.edges, -1 = inside a region
+    ends: Tensor  #: [2, B] int64
+    small: Tensor  #: [B] int64, the region with fewer points
+    large: Tensor  #: [B] int64
     num_edges: Tensor  #: [B] float64
 
-    def summary(self, measure: Measure) -> Tensor:
-        return summarize(measure, self.of_any_edge, self.pairs.shape[1])
 
-    def mean(self, values: Tensor) -> Tensor:
-        """Means [B] float64 over the edges of each boundary of values [C]."""
-        return sum_by(self.of_edge, values.index_select(0, self.edges).double(), self.pairs.shape[1]) / self.num_edges
+def boundary_features(pieces: PieceGraph) -> Tensor:
+    """The features of each boundary between two pieces: [B, F] float32.
 
-
-def boundary_features(pieces: PieceGraph, region: Tensor) -> BoundaryFeatures:
-    """The features of each boundary between two regions.
-
-    Args:
-        pieces: the pieces, and the edges between them.
-        region: [N] int64, 0 ... R - 1, region of each point; each region is a union of pieces.
+    There is one column for each of FEATURE_NAMES; NaN = missing. The rows have the order of `pieces.pairs`.
     """
-    boundaries = _find_boundaries(pieces, region)
-    statistics = pooled(pieces.statistics, boundaries.of_piece, boundaries.num_regions)
-    a, b = boundaries.pairs
+    statistics, images, boundaries = pieces.statistics, pieces.images, pieces.boundaries
+    a, b = pieces.pairs
     a_is_small = statistics.size[a] <= statistics.size[b]
     small, large = torch.where(a_is_small, a, b), torch.where(a_is_small, b, a)
-    edges, images = pieces.edges, pieces.images
-    known = [name for name in SUMMARIES if getattr(edges, name) is not None]
-    averaged = [edges.crease.values.clamp(min=0), edges.unoriented]
-    averaged += [] if edges.views is None else [edges.views > 0, edges.views]
-    crease, unoriented, *of_views = parallel_map(boundaries.mean, averaged)
-    columns: Columns = {"unoriented_share": unoriented}
-    for name, summary in zip(
-        known, parallel_map(lambda name: boundaries.summary(getattr(edges, name)), known), strict=True
-    ):
-        columns |= zip(_summary(name), summary.unbind(1), strict=True)
-    columns |= _sizes(statistics, small, large, boundaries.num_edges)
+    sides = _Sides(pieces.pairs, small, large, boundaries.num_edges.double())
+    mean = boundaries.means()
+    columns: Columns = {"unoriented_share": mean["unoriented"]}
+    for name, quantiles in boundaries.quantiles(QUANTILES).items():
+        columns |= zip(_summary(name), (mean[name], *quantiles.unbind(1)), strict=True)
+    columns |= _sizes(statistics, sides)
     columns |= _shapes(statistics, small, large)
     columns |= _colors(statistics, small, large)
-    columns |= _in_context("crease", crease, boundaries, small, large)
-    if images is not None and edges.views is not None:
-        columns |= {"seen_share": of_views[0], "log_views": of_views[1].log1p()}
-        columns |= image_agreement(images, boundaries.of_piece, boundaries.num_regions, boundaries.pairs)
-        columns |= _in_context("disagreement", columns["disagreement_mean"], boundaries, small, large)
-    columns |= _neighborhood(boundaries, small)
+    columns |= _in_context("crease", mean["hollow"], sides, len(pieces))
+    if images is not None:
+        columns |= {"seen_share": mean["seen"], "log_views": mean["views"].log1p()}
+        columns |= image_agreement(images, len(pieces), pieces.pairs)
+        columns |= _in_context("disagreement", mean["disagreement"], sides, len(pieces))
+    columns |= _neighborhood(sides, len(pieces))
     columns |= _bulges(statistics, small, large)
     columns |= _roughness(statistics, small, large, columns["bend_median"])
-    if edges.color_step is not None:
-        columns["color_step_ratio"] = columns["color_step_median"] / (pieces.typical_color_step or 1)
+    if pieces.typical_color_step is not None:
+        columns["color_step_ratio"] = columns["color_step_median"] / pieces.typical_color_step
         columns |= _textures(statistics, small, large, columns["color_step_median"])
-    return BoundaryFeatures(boundaries.pairs, _in_order(columns, len(a)), boundaries.of_any_edge)
+    return _in_order(columns, len(a))
 
 
 def _in_order(columns: Columns, count: int) -> Tensor:
@@ -186,26 +154,9 @@ def _in_order(columns: Columns, count: int) -> Tensor:
     return torch.stack([columns[name].float() if name in columns else missing for name in FEATURE_NAMES], 1)
 
 
-def _find_boundaries(pieces: PieceGraph, region: Tensor) -> _Boundaries:
-    of_piece = pieces.regions_of_pieces(region)
-    num_regions = int(region.max()) + 1
-    first, second = of_piece[pieces.pairs]
-    across = first != second
-    key = torch.minimum(first, second) * num_regions + torch.maximum(first, second)
-    key, of_crossing = torch.unique(key[across], return_inverse=True)
-    of_pair = torch.full((len(first),), -1, dtype=torch.int64)
-    of_pair[across] = of_crossing
-    of_any_edge = of_pair.index_select(0, pieces.edges.pair)  # several times as fast as brackets
-    edges = torch.nonzero(of_any_edge >= 0).squeeze(1)
-    of_edge = of_any_edge.index_select(0, edges)
-    num_edges = torch.bincount(of_edge, minlength=len(key)).double()
-    pairs = torch.stack([key // num_regions, key % num_regions])
-    return _Boundaries(of_piece, num_regions, pairs, edges, of_edge, of_any_edge, num_edges)
-
-
-def _sizes(regions: RegionStatistics, small: Tensor, large: Tensor, num_edges: Tensor) -> Columns:
+def _sizes(regions: RegionStatistics, sides: _Sides) -> Columns:
     """Sizes of both regions, and of the boundary relative to them."""
-    one, other = regions.size[small], regions.size[large]
+    one, other, num_edges = regions.size[sides.small], regions.size[sides.large], sides.num_edges
     return {
         "log_points_small": one.log(),
         "log_points_large": other.log(),
@@ -260,39 +211,37 @@ def _colors(regions: RegionStatistics, small: Tensor, large: Tensor) -> Columns:
     }
 
 
-def _in_context(name: str, value: Tensor, boundaries: _Boundaries, small: Tensor, large: Tensor) -> Columns:
+def _in_context(name: str, value: Tensor, sides: _Sides, num_regions: int) -> Columns:
     """The value of each boundary relative to the other boundaries of the same regions.
 
     Args:
         name: of the value.
         value: [B], a value of each boundary, NaN counts as TYPICAL.
-        boundaries: the boundaries.
-        small, large: [B] int64, the regions of each boundary.
+        sides: of the boundaries.
+        num_regions: R.
 
     Returns:
         above the mean of the small region's boundaries, above their minimum, above the large region's minimum.
     """
-    value = value.nan_to_num(nan=TYPICAL)
-    ends = boundaries.pairs.flatten()
-    weighted = sum_by(ends, (value * boundaries.num_edges).repeat(2), boundaries.num_regions)
-    mean = weighted / sum_by(ends, boundaries.num_edges.repeat(2), boundaries.num_regions)
-    least = value.new_zeros(boundaries.num_regions)
-    least = least.scatter_reduce(0, ends, value.repeat(2), "amin", include_self=False)
+    value, ends = value.nan_to_num(nan=TYPICAL), sides.ends.flatten()
+    weighted = sum_by(ends, (value * sides.num_edges).repeat(2), num_regions)
+    mean = weighted / sum_by(ends, sides.num_edges.repeat(2), num_regions)
+    least = value.new_zeros(num_regions).scatter_reduce(0, ends, value.repeat(2), "amin", include_self=False)
     return {
-        f"{name}_above_mean_of_small": value - mean[small],
-        f"{name}_above_least_of_small": value - least[small],
-        f"{name}_above_least_of_large": value - least[large],
+        f"{name}_above_mean_of_small": value - mean[sides.small],
+        f"{name}_above_least_of_small": value - least[sides.small],
+        f"{name}_above_least_of_large": value - least[sides.large],
     }
 
 
-def _neighborhood(boundaries: _Boundaries, small: Tensor) -> Columns:
+def _neighborhood(sides: _Sides, num_regions: int) -> Columns:
     """The boundary's share of all edges around the small region, and the log of its number of neighbours."""
-    ends = boundaries.pairs.flatten()
-    perimeter = sum_by(ends, boundaries.num_edges.repeat(2), boundaries.num_regions)
-    neighbors = torch.bincount(ends, minlength=boundaries.num_regions).double()
+    ends = sides.ends.flatten()
+    perimeter = sum_by(ends, sides.num_edges.repeat(2), num_regions)
+    neighbors = torch.bincount(ends, minlength=num_regions).double()
     return {
-        "perimeter_share_small": boundaries.num_edges / perimeter[small],
-        "log_neighbors_small": neighbors[small].log(),
+        "perimeter_share_small": sides.num_edges / perimeter[sides.small],
+        "log_neighbors_small": neighbors[sides.small].log(),
     }
 
 

@@ -27,16 +27,15 @@ from torchjoint.scene.hierarchy import Votes
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
     Merges,
-    crossing_edges,
     default_height,
     merge_pieces,
-    merges_of_small_regions,
     merging_steps,
 )
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.piece_graph import PieceGraph, counted, disjoint_union
 from torchjoint.segments.learned.region_statistics import sum_by
+from torchjoint.segments.learned.small_regions import merges_by_contact
 
 #: Number of draws; the first one is the cloud itself.
 DRAWS = 3
@@ -72,9 +71,8 @@ NOISE = 0.7
 MOST_OF_A_KIND = 5
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
-#: If more edges than this are left after the first step, the trees are made draw by draw: less memory, but up to .3 s
-#: more.
-MANY_EDGES = 1 << 20
+#: If more boundaries than this are left after the first step, the trees are made draw by draw: less memory, more time.
+MANY_BOUNDARIES = 1 << 17
 #: The operator wants a prior; this much of it changes nothing.
 NO_PRIOR = 1e-9
 
@@ -157,7 +155,8 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
             of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
         if level == default:
             votes = Votes(torch.stack(of_judges), size)
-            joined = merges_of_small_regions(pieces, of_piece)
+            regions = pieces.grouped(of_piece)
+            joined = merges_by_contact(regions.pairs, regions.boundaries.num_edges, regions.statistics.size)
             merges.add(of_piece, joined, torch.full((joined.shape[1],), level, dtype=torch.float64), level)
             of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
         below = level
@@ -183,7 +182,7 @@ def segments_of_judges(
         after = _first_regions(pieces, panel, judges[-1], levels[0])
         regions += _of_other_pieces(after, pieces.piece, piece)
         graphs += _grouped(pieces, after)
-        if number + 1 == len(draws) or sum(len(graph.edges.pair) for graph in graphs) > MANY_EDGES:
+        if number + 1 == len(draws) or sum(graph.pairs.shape[1] for graph in graphs) > MANY_BOUNDARIES:
             merged = _segments(graphs, regions, panel, torch.cat(judges), thresholds, levels)
             segments = [found + more for found, more in zip(segments, merged, strict=True)]
             graphs, regions, judges = [], [], []
@@ -192,20 +191,18 @@ def segments_of_judges(
 
 def _first_regions(pieces: PieceGraph, panel: Panel, judges: Tensor, threshold: float) -> list[Tensor]:
     """The regions [P] of the pieces after the first step, for each of the judges [J]."""
-    num_pieces = len(pieces.statistics.size)
-    pairs, values, of_edge = boundary_features(pieces, pieces.piece)
-    ends, crossing = crossing_edges(pairs, of_edge)
+    num_edges = pieces.boundaries.num_edges
 
     def merged(probability: Tensor) -> Tensor:
-        joined, _ = ops.region_dendrogram(ends, probability.float().index_select(0, crossing), num_pieces, threshold)
-        return ops.connected_components(joined, num_pieces)
+        joined, _ = ops.region_dendrogram(pieces.pairs, probability.float(), len(pieces), threshold, num_edges)
+        return ops.connected_components(joined, len(pieces))
 
-    return parallel_map(merged, panel.first_probabilities(values, judges))
+    return parallel_map(merged, panel.first_probabilities(boundary_features(pieces), judges))
 
 
 def _grouped(pieces: PieceGraph, regions: Sequence[Tensor]) -> list[PieceGraph]:
     """The graph of the regions [P] of each judge."""
-    # First without what no judge needs any more: the edges inside cells, which are the pieces that all have together.
+    # First without what no judge needs any more: boundaries inside cells, which are the pieces that all have together.
     cell = _together(regions)
     cells = pieces.grouped(cell)
     return parallel_map(
@@ -222,7 +219,7 @@ def _segments(
     levels: Sequence[float],
 ) -> list[list[Tensor]]:
     """For each level the segments of each of the judges [J], whose regions after the first step [P] are known."""
-    sizes = [len(graph.piece) for graph in graphs]
+    sizes = [len(graph) for graph in graphs]
     judge = judges.repeat_interleave(torch.tensor(sizes))
     # The first step merges nearly everything. What is left is small, so that all judges' graphs together fit in one.
     forest = merge_pieces(
@@ -285,6 +282,7 @@ def vote(
     return mask_merges(
         ends,
         torch.zeros(ends.shape[1], dtype=torch.float32),
+        torch.ones_like(ends[0]),
         sum_by(of_piece, size, num_regions),
         in_mask,
         in_frame,

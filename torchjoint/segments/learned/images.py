@@ -106,12 +106,11 @@ def segments_of_pieces(piece: Tensor, observations: Sequence[Observation]) -> Im
 MIN_POINTS = 3
 
 
-def image_agreement(images: ImageCounts, of_piece: Tensor, num_regions: int, pairs: Tensor) -> dict[str, Tensor]:
+def image_agreement(images: ImageCounts, num_regions: int, pairs: Tensor) -> dict[str, Tensor]:
     """Measures how far the images show two regions as one, for each pair of regions.
 
     Args:
-        images: the image segments in which the pieces lie.
-        of_piece: [P] int64, region of each piece.
+        images: the image segments in which the regions lie.
         num_regions: R.
         pairs: [2, B] int64, pairs of regions.
 
@@ -123,7 +122,7 @@ def image_agreement(images: ImageCounts, of_piece: Tensor, num_regions: int, pai
     """
     with all_threads():
         best, (best_union, low, high), (common, product, rounded, squares, num_views) = agreement_sums(
-            *images, of_piece, num_regions, pairs, min_points=MIN_POINTS, resolution=OVERLAP_RESOLUTION
+            *images, num_regions, pairs, min_points=MIN_POINTS, resolution=OVERLAP_RESOLUTION
         )
     views = num_views.double()
     mean = rounded.double() * OVERLAP_RESOLUTION / views

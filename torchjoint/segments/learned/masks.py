@@ -56,20 +56,23 @@ class MaskLinkage:
         """The linkage of pieces with sizes [P]; None if there are no masks."""
         return None if masks is None else cls(masks, size.long())
 
-    def merges(self, of_piece: Tensor, ends: Tensor, cost: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
+    def merges(
+        self, of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
+    ) -> tuple[Tensor, Tensor]:
         """As :func:`torchjoint.ops.region_dendrogram`, with masks.
 
         Args:
             of_piece: [P] int64, region of each piece, 0 ... R - 1.
-            ends: [2, C] int64, regions at the two ends of each edge.
-            cost: [C] float32, the model's probability that the ends belong to different objects.
+            ends: [2, B] int64, the two regions of each boundary.
+            cost: [B] float32, the model's probability that they belong to different objects.
+            count: [B] int64, edges of the boundary.
             threshold: largest cost of two regions that merge.
         """
         if self.keeps_outlines:
             confirmed = self.confirmed(of_piece)
             apart = (confirmed[ends] & (confirmed | self._without_masks(of_piece))[ends.flip(0)]).any(0)
-            ends, cost = ends[:, ~apart], cost[~apart]
-        return mask_merges(ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
+            ends, cost, count = ends[:, ~apart], cost[~apart], count[~apart]
+        return mask_merges(ends, cost, count, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
 
     def far_pairs(self, of_piece: Tensor) -> Tensor:
         """Pairs of regions that lie in one mask, whether or not they touch: [2, B] int64, a < b, ascending."""
@@ -84,14 +87,14 @@ class MaskLinkage:
         key = torch.unique((one * num_regions + other)[one < other])
         return torch.stack([key // num_regions, key % num_regions])
 
-    def crumbs(self, of_piece: Tensor, ends: Tensor, cost: Tensor) -> tuple[Tensor, Tensor]:
+    def crumbs(self, of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
         """The merges with a neighbour of small regions in masks, unless a mask confirms them; arguments as `merges`.
 
         Regions that most views show without a mask stay.
         """
         stays = self.confirmed(of_piece) | self._without_masks(of_piece)
         return mask_merges(
-            ends, cost, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE
+            ends, cost, count, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE
         )
 
     def confirmed(self, of_piece: Tensor) -> Tensor:
@@ -225,7 +228,16 @@ def _merges_of_parts(edge_index: Tensor, size: Tensor, masks: MaskCounts | None)
     tables = masks.of_regions(torch.arange(len(size)))
     prior = torch.zeros(edge_index.shape[1], dtype=torch.float32)
     return mask_merges(
-        edge_index, prior, size, *tables, masks.weight, masks.frame_of_mask, APART_WEIGHT, PRIOR_WEIGHT, THRESHOLD
+        edge_index,
+        prior,
+        torch.ones_like(edge_index[0]),
+        size,
+        *tables,
+        masks.weight,
+        masks.frame_of_mask,
+        APART_WEIGHT,
+        PRIOR_WEIGHT,
+        THRESHOLD,
     )[0]
 
 

@@ -16,7 +16,7 @@ from torchjoint.segments.learned.boundary_model import BoundaryModel, load_bound
 from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
 from torchjoint.segments.learned.masks import move_to_majority
 from torchjoint.segments.learned.piece_graph import PieceGraph
-from torchjoint.segments.learned.pieces import build_piece_graph
+from torchjoint.segments.learned.pieces import build_piece_graph, measure_colors
 from torchjoint.views.evidence import Evidence
 
 
@@ -39,13 +39,14 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
     if graph.scales is None:
         raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
     scales, model = graph.scales, _model(config)
-    pieces = build_piece_graph(graph, scales, evidence)
+    colors = measure_colors(graph, evidence.observations)
+    pieces = build_piece_graph(graph, scales, evidence, colors)
     if pieces.masks is not None:  # they say much more than a judge, so there is one tree, of the model
         hierarchy = build_hierarchy(pieces, model)
         return move_to_majority(hierarchy, graph.edge_index, pieces.masks, evidence.observations)
 
     def draw(number: int) -> PieceGraph:
-        return build_piece_graph(drawn_anew(graph, scales, number), scales, evidence) if number else pieces
+        return build_piece_graph(drawn_anew(graph, scales, number), scales, evidence, colors) if number else pieces
 
     return build_consensus(LazySequence(DRAWS, draw), model)
 

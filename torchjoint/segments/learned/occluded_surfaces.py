@@ -18,7 +18,7 @@ from torch.nn.functional import normalize
 from torchjoint.cloud._vectors import dot, length
 from torchjoint.cloud.scales import Scales
 from torchjoint.runtime.threads import parallel_map
-from torchjoint.segments.learned.region_statistics import RegionStatistics, color_contrasts, pooled, sum_by
+from torchjoint.segments.learned.region_statistics import RegionStatistics, color_contrasts, sum_by
 from torchjoint.views.observations import Observation
 from torchjoint.views.occluders import DEPTH_STEP, STEP_IN_NOISE, CoarseZBuffer
 from torchjoint.views.projection import nearest_pixel, project
@@ -94,38 +94,31 @@ def find_occlusions(
     return Occlusions(torch.stack([a, b]), num_lines, may_continue, between)
 
 
-def continued_surfaces(
-    occlusions: Occlusions, statistics: RegionStatistics, touching: Tensor, of_piece: Tensor
-) -> tuple[Tensor, Tensor]:
+def continued_surfaces(occlusions: Occlusions, statistics: RegionStatistics, touching: Tensor) -> tuple[Tensor, Tensor]:
     """The pairs of regions that are one surface behind an occluder.
 
     Regions that touch are not included, because the boundary model has judged them.
 
     Args:
-        occlusions: occlusions of the pieces.
-        statistics: statistics of the pieces.
-        touching: [2, T] int64, the pairs of pieces that touch.
-        of_piece: [P] int64, region of each piece, 0 ... R - 1.
+        occlusions: occlusions of the regions.
+        statistics: statistics of R regions.
+        touching: [2, T] int64, the pairs of regions that touch.
 
     Returns:
         [2, B] int64 regions a < b, ascending; and [B] float32, the share of the lines against joining them, at most
         1 - SHARE. Without colours there are no pairs, because two surfaces may lie in one plane by chance.
     """
-    num_regions = int(of_piece.max()) + 1
-    first, second = of_piece[occlusions.pairs]
+    num_regions, (first, second), hidden = len(statistics.size), occlusions.pairs, occlusions.between
     of_regions = _keys(first, second, num_regions)
-    hidden = torch.where(occlusions.between >= 0, of_piece[occlusions.between], -1)
     is_free = ((hidden < 0) | (hidden == first) | (hidden == second)).all(0)
-    one, other = of_piece[touching]
-    apart = (first != second) & ~torch.isin(of_regions, _keys(one, other, num_regions))
+    apart = (first != second) & ~torch.isin(of_regions, _keys(touching[0], touching[1], num_regions))
     key, of_pair = torch.unique(of_regions[apart], return_inverse=True)
     lines = sum_by(of_pair, occlusions.num_lines[apart], len(key))
     votes = sum_by(of_pair, (occlusions.num_lines * (occlusions.may_continue & is_free))[apart], len(key))
     share = votes.double() / lines
     pairs = torch.stack([key // num_regions, key % num_regions])
     joined = (votes >= MIN_LINES) & (share >= SHARE)
-    contrast = color_contrasts(pooled(statistics, of_piece, num_regions), *pairs)
-    joined &= contrast <= MAX_CONTRAST  # NaN without colours: not joined
+    joined &= color_contrasts(statistics, *pairs) <= MAX_CONTRAST  # NaN without colours: not joined
     return pairs[:, joined], (1 - share[joined]).float()
 
 

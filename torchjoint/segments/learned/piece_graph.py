@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,9 +14,10 @@ from torchjoint.ops.internal import WEIGHT_UNIT
 from torchjoint.runtime.groups import members_of_groups
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene.masks import Masks
+from torchjoint.segments.learned.boundaries import Boundaries
 from torchjoint.segments.learned.images import ImageCounts
 from torchjoint.segments.learned.occluded_surfaces import Occlusions
-from torchjoint.segments.learned.region_statistics import Measure, RegionStatistics, pooled
+from torchjoint.segments.learned.region_statistics import RegionStatistics, pooled
 from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
@@ -97,41 +98,14 @@ def counted(region: Tensor, key: Tensor, count: Tensor) -> Tensor:
     return torch.stack([pair // num_keys, pair % num_keys, total])
 
 
-class BoundaryEdges(NamedTuple):
-    """Measures of the C edges of the point graph that connect two pieces, in the order of the graph."""
-
-    pair: Tensor  #: [C] int64, index into PieceGraph.pairs
-    crease: Measure  #: angle between the planes of the two ends, in right angles, negative where convex
-    bend: Measure  #: angle between the normals of the two ends, in right angles
-    wide_bend: Measure  #: the same, with normals fitted to the wider neighbourhoods of the planes
-    offset: Measure  #: distance of one end's plane to the mean of the other, in multiples of the noise: the smaller one
-    larger_offset: Measure  #: the larger one
-    gap: Measure  #: length, in multiples of the spacing
-    unoriented: Tensor  #: [C] bool, whether the normal of an end is not oriented
-    color_step: Measure | None  #: distance of the colours of the two ends, units of Lab, missing where one has none
-    disagreement: Measure | None  #: r of eq. 6, missing if no image has evidence
-    contour: Measure | None  #: strength of the images' boundaries across the edge, mean over those that see both ends
-    views: Tensor | None  #: [C] int64, number of images that see both ends
-
-    def only(self, kept: Tensor) -> BoundaryEdges:
-        """The edges with the numbers `kept` [c] int64, in this order."""
-
-        def part(values: Any) -> Any:
-            if isinstance(values, Measure):
-                return Measure.of(values.values.index_select(0, kept))
-            return None if values is None else values.index_select(0, kept)
-
-        return BoundaryEdges(*parallel_map(part, self))
-
-
 @dataclass(frozen=True)
 class PieceGraph:
-    """What is known about a cloud, its pieces and the edges between them.
+    """What is known about a cloud, its pieces, and the boundaries between them.
 
     Attributes:
         piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance.
         pairs: [2, Q] int64, the pairs of pieces a < b that edges connect, in ascending order.
-        edges: the edges between pieces.
+        boundaries: what is known about the edges between the pieces of each pair.
         statistics: statistics of the pieces' points.
         typical_color_step: median colour step of all edges, units of Lab; None without colours.
         images: counts of points in image segments; None without images, or if all images have masks.
@@ -141,49 +115,37 @@ class PieceGraph:
 
     piece: Tensor
     pairs: Tensor
-    edges: BoundaryEdges
+    boundaries: Boundaries
     statistics: RegionStatistics
     typical_color_step: float | None
     images: ImageCounts | None
     masks: MaskCounts | None = None
     occlusions: Occlusions | None = None
 
-    def regions_of_pieces(self, region: Tensor) -> Tensor:
-        """The region of each piece, [P] int64; `region` [N] is the region of each point, a union of pieces."""
-        of_piece = torch.empty(len(self.statistics.size), dtype=torch.int64)
-        of_piece[self.piece] = region
-        return of_piece
+    def __len__(self) -> int:
+        """P, the number of pieces."""
+        return len(self.statistics.size)
 
-    def between(self, region: Tensor) -> PieceGraph:
-        """Drops edges inside regions [N], which are not needed again, if they are at least half of all edges."""
-        first, second = self.regions_of_pieces(region)[self.pairs]
-        across = torch.nonzero((first != second).index_select(0, self.edges.pair)).squeeze(1)
-        if 2 * len(across) > len(self.edges.pair):
-            return self
-        return replace(self, edges=self.edges.only(across))
-
-    def grouped(self, of_piece: Tensor) -> PieceGraph:
+    def grouped(self, group: Tensor) -> PieceGraph:
         """The same with groups of pieces as pieces, each of which is its only point; without masks.
 
         Args:
-            of_piece: [P] int64, group of each piece, 0 ... G - 1, numbered by first appearance.
+            group: [P] int64, group of each piece, 0 ... G - 1, numbered by first appearance.
         """
-        num_groups = int(of_piece.max()) + 1
-        first, second = of_piece[self.pairs]
-        apart = first != second
+        num_groups = int(group.max()) + 1
+        first, second = group[self.pairs]
+        across = torch.nonzero(first != second).squeeze(1)
+        first, second = first[across], second[across]
         key = torch.minimum(first, second) * num_groups + torch.maximum(first, second)
-        pair = torch.full_like(key, -1)
-        key, pair[apart] = torch.unique(key[apart], return_inverse=True)
-        kept = torch.nonzero(apart.index_select(0, self.edges.pair)).squeeze(1)
-        edges = self.edges.only(kept)
+        key, of_pair = torch.unique(key, return_inverse=True)
         return PieceGraph(
             torch.arange(num_groups),
             torch.stack([key // num_groups, key % num_groups]),
-            edges._replace(pair=pair.index_select(0, edges.pair)),
-            pooled(self.statistics, of_piece, num_groups),
+            self.boundaries.selected(across).grouped(of_pair, len(key)),
+            pooled(self.statistics, group, num_groups),
             self.typical_color_step,
-            None if self.images is None else self.images.grouped(of_piece),
-            occlusions=None if self.occlusions is None else self.occlusions.grouped(of_piece),
+            None if self.images is None else self.images.grouped(group),
+            occlusions=None if self.occlusions is None else self.occlusions.grouped(group),
         )
 
 
@@ -192,26 +154,15 @@ def disjoint_union(graphs: Sequence[PieceGraph]) -> PieceGraph:
 
     The pieces of each graph follow those of the graph before it.
     """
-    *starts, num_pieces = accumulate((len(graph.statistics.size) for graph in graphs), initial=0)
-    *first_pairs, _ = accumulate((graph.pairs.shape[1] for graph in graphs), initial=0)
-    moved = [
-        graph.edges._replace(pair=graph.edges.pair + first) for graph, first in zip(graphs, first_pairs, strict=True)
-    ]
+    *starts, num_pieces = accumulate(map(len, graphs), initial=0)
     images = [graph.images for graph in graphs if graph.images is not None]
     occlusions = [graph.occlusions for graph in graphs if graph.occlusions is not None]
     return PieceGraph(
         torch.arange(num_pieces),
         torch.cat([graph.pairs + start for graph, start in zip(graphs, starts, strict=True)], 1),
-        BoundaryEdges(*parallel_map(_joined, zip(*moved, strict=True))),
-        RegionStatistics(*map(_joined, zip(*(graph.statistics for graph in graphs), strict=True))),
+        Boundaries.union([graph.boundaries for graph in graphs]),
+        RegionStatistics.union([graph.statistics for graph in graphs]),
         graphs[0].typical_color_step,
         ImageCounts.union(images, starts) if images else None,
         occlusions=Occlusions.union(occlusions, starts) if occlusions else None,
     )
-
-
-def _joined(values: Sequence[Any]) -> Any:
-    """The values of several graphs, one after the other; None if they have none."""
-    if isinstance(values[0], Measure):
-        return Measure.union(values)
-    return None if values[0] is None else torch.cat(list(values))

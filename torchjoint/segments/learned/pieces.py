@@ -7,6 +7,7 @@ of a boundary, so only these are measured.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,12 +18,12 @@ from torchjoint.cloud.graph import PointGraph, orient_normals
 from torchjoint.cloud.normals import angle_between, is_convex
 from torchjoint.cloud.scales import Scales
 from torchjoint.images.segmenter import brightened
-from torchjoint.runtime.threads import parallel_map
+from torchjoint.segments.learned.boundaries import Boundaries
 from torchjoint.segments.learned.images import image_colors, segments_of_pieces, without_dropouts
 from torchjoint.segments.learned.masks import cut_by_masks
 from torchjoint.segments.learned.occluded_surfaces import find_occlusions
-from torchjoint.segments.learned.piece_graph import BoundaryEdges, PieceGraph, masks_of_pieces
-from torchjoint.segments.learned.region_statistics import InnerEdges, Measure, Surface, statistics_of_points
+from torchjoint.segments.learned.piece_graph import PieceGraph, masks_of_pieces
+from torchjoint.segments.learned.region_statistics import InnerEdges, Surface, statistics_of_points
 from torchjoint.segments.planes import (
     SMOOTH_REGIONS,
     Planes,
@@ -33,6 +34,7 @@ from torchjoint.segments.planes import (
     small_regions,
 )
 from torchjoint.views.evidence import Evidence
+from torchjoint.views.observations import Observations
 from torchjoint.views.propagation import disagreement
 
 # The model was trained on boundaries between pieces made with these numbers. With other numbers its probabilities would
@@ -62,15 +64,38 @@ MIN_SIZE = 8
 RIGHT_ANGLES = 2 / math.pi
 
 
-def build_piece_graph(graph: PointGraph, scales: Scales, evidence: Evidence) -> PieceGraph:
-    """Groups the points into pieces, and measures the edges between the pieces.
+class Colors(NamedTuple):
+    """Colours of points and edges; all None without colours."""
 
-    If the cloud has no colours, the visible points get colours from the images.
+    lab: Tensor | None = None  #: [N, 3] Lab, NaN = none
+    step: Tensor | None = None  #: [E] units of Lab, distance between the two ends of an edge, NaN = unknown
+    median: float | None = None  #: of the steps
+
+
+def measure_colors(graph: PointGraph, observations: Observations) -> Colors:
+    """The colours of the cloud; if it has none, the visible points get colours from the images."""
+    if graph.colors is None:
+        colors = image_colors(graph.num_points, observations)
+    else:
+        colors = without_dropouts(graph.colors, graph.edge_index)
+    if colors is None:
+        return Colors()
+    lab = _to_lab(brightened(colors))
+    step = _color_steps(lab, graph.edge_index)
+    known = step[step.isfinite()]
+    return Colors(lab, step, float(known.median()) if len(known) else 0.0)
+
+
+def build_piece_graph(
+    graph: PointGraph, scales: Scales, evidence: Evidence, colors: Colors | None = None
+) -> PieceGraph:
+    """Groups the points into pieces, and measures the edges between the pieces.
 
     Args:
         graph: the point graph.
         scales: noise and spacing of the points.
         evidence: of the images.
+        colors: of these points, if they are known already.
     """
     normals, oriented = orient_normals(graph, evidence.facing)
     planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
@@ -78,16 +103,7 @@ def build_piece_graph(graph: PointGraph, scales: Scales, evidence: Evidence) -> 
     # Frames with masks are treated separately, because masks have a much larger weight (see mask_merges).
     observations = seen.without_masks()
     r = disagreement(evidence.views, evidence.overlap_sum, OVERLAP_THRESHOLD) if seen else None
-    if graph.colors is None:
-        colors = image_colors(graph.num_points, seen)
-    else:
-        colors = without_dropouts(graph.colors, graph.edge_index)
-    lab = None if colors is None else _to_lab(brightened(colors))
-    color_step = median = None
-    if lab is not None:
-        color_step = _color_steps(lab, graph.edge_index)
-        known = color_step[color_step.isfinite()]
-        median = float(known.median()) if len(known) else 0.0
+    lab, color_step, median = colors or measure_colors(graph, seen)
     cost = _edge_costs(crease_costs(graph.edge_index, planes, oriented, CONVEX_FACTOR), r, color_step, median)
     piece = merge(torch.arange(graph.num_points), graph.edge_index, cost, THRESHOLD, MIN_SIZE)
     piece = cut_by_masks(piece, graph.edge_index, seen)
@@ -97,32 +113,22 @@ def build_piece_graph(graph: PointGraph, scales: Scales, evidence: Evidence) -> 
     low, high = torch.minimum(first, second)[across], torch.maximum(first, second)[across]
     key, pair = torch.unique(low * num_pieces + high, return_inverse=True)
     ends = graph.edge_index[:, across]
-    geometry = _geometry(graph, ends, normals, oriented, planes, scales)
-    contour = views = None
+    measures = _geometry(graph, ends, normals, oriented, planes, scales)
+    if color_step is not None:
+        measures["color_step"] = color_step[across]
     if r is not None and observations:
-        total, views = evidence.contour_sum[across].long(), evidence.contour_views[across].long()
-        contour = torch.where(views > 0, total.float() / (255 * views.clamp(min=1)), torch.nan)
-        r = torch.where(evidence.views[across] > 0, r[across], torch.nan)
-    else:
-        r = None
+        total, views = evidence.contour_sum[across], evidence.contour_views[across]
+        measures["contour"] = torch.where(views > 0, total.float() / (255 * views.clamp(min=1)), torch.nan)
+        measures["disagreement"] = torch.where(evidence.views[across] > 0, r[across], torch.nan)
+        measures |= {"seen": views > 0, "views": views}
     surface = Surface(graph.points, planes.normal, oriented, scales.noise, scales.spacing, lab)
     statistics = statistics_of_points(
         piece, surface, _inner_edges(piece, graph.edge_index, normals, oriented, color_step)
     )
-    if color_step is not None:
-        color_step = color_step[across]
-    optional = (color_step, r, contour)
-    present = [values for values in optional if values is not None]
-    crease, bend, wide_bend, offset, larger_offset, gap, *ranked = parallel_map(Measure.of, [*geometry, *present])
-    rest = iter(ranked)
-    color, overlap, strength = (None if values is None else next(rest) for values in optional)
-    unoriented = ~(oriented[ends[0]] & oriented[ends[1]])
     return PieceGraph(
         piece,
         torch.stack([key // num_pieces, key % num_pieces]),
-        BoundaryEdges(
-            pair, crease, bend, wide_bend, offset, larger_offset, gap, unoriented, color, overlap, strength, views
-        ),
+        Boundaries.of(pair, len(key), measures),
         statistics,
         None if median is None else max(median, SMALLEST_TYPICAL),
         segments_of_pieces(piece, observations) if observations else None,
@@ -153,8 +159,8 @@ def _edge_costs(crease: Tensor, r: Tensor | None, color_step: Tensor | None, med
 
 def _geometry(
     graph: PointGraph, edge_index: Tensor, normals: Tensor, oriented: Tensor, planes: Planes, scales: Scales
-) -> tuple[Tensor, ...]:
-    """The measures crease, bend, wide_bend, offset, larger_offset and gap of BoundaryEdges, each [C] float32."""
+) -> dict[str, Tensor]:
+    """The values of edges [2, C] that geometry gives, [C] each."""
     i, j = edge_index
     both = oriented[i] & oriented[j]
     one, other = rows_of(planes.normal, i), rows_of(planes.normal, j)
@@ -169,14 +175,16 @@ def _geometry(
     noise = torch.maximum(scales.noise[i], scales.noise[j])
     spacing = torch.maximum(scales.spacing[i], scales.spacing[j])
     gap = length(rows_of(graph.points, j) - rows_of(graph.points, i)) / spacing
-    return (
-        crease,
-        bend,
-        wide_bend,
-        torch.minimum(off_one, off_other) / noise,
-        torch.maximum(off_one, off_other) / noise,
-        gap,
-    )
+    return {
+        "crease": crease,
+        "hollow": crease.clamp(min=0),
+        "bend": bend,
+        "wide_bend": wide_bend,
+        "offset": torch.minimum(off_one, off_other) / noise,
+        "larger_offset": torch.maximum(off_one, off_other) / noise,
+        "gap": gap,
+        "unoriented": ~both,
+    }
 
 
 def _to_lab(colors: Tensor) -> Tensor:

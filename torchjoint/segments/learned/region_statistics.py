@@ -7,50 +7,12 @@ the statistics of its pieces.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import accumulate
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchjoint.cloud._vectors import dot, length
-from torchjoint.ops.internal import ascending_order, group_summaries
-
-#: The quantiles of a summary; they follow the mean.
-QUANTILES = (0.1, 0.5, 0.9)
-
-
-class Measure(NamedTuple):
-    """A measure of C edges. It is sorted once, so that quantiles of groups of edges need no further sort."""
-
-    values: Tensor  #: [C] float32, NaN = missing
-    order: Tensor  #: [C] int32, places of the values; in ascending order, if the edges are of one graph
-
-    @classmethod
-    def of(cls, values: Tensor) -> Measure:
-        """Sorts values [C] float32."""
-        return cls(values, ascending_order(values))
-
-    @classmethod
-    def union(cls, measures: Sequence[Measure]) -> Measure:
-        """The measures of several graphs, one after the other. No group may have edges of two graphs."""
-        *starts, _ = accumulate((len(one.values) for one in measures), initial=0)
-        orders = [one.order + start for one, start in zip(measures, starts, strict=True)]
-        return cls(torch.cat([one.values for one in measures]), torch.cat(orders))
-
-
-def summarize(measure: Measure, group: Tensor, num_groups: int) -> Tensor:
-    """Mean and QUANTILES of the measure over the edges of each group; missing values do not count.
-
-    Args:
-        measure: of C edges.
-        group: [C] int64, group of each edge, 0 ... G - 1, -1 = none.
-        num_groups: G.
-
-    Returns:
-        [G, 1 + len(QUANTILES)] float64; NaN for a group without a value.
-    """
-    return group_summaries(*measure, group, num_groups, torch.tensor(QUANTILES, dtype=torch.float32))
 
 
 def sum_by(group: Tensor, values: Tensor, num_groups: int) -> Tensor:
@@ -79,6 +41,12 @@ class RegionStatistics(NamedTuple):
     roughness: Tensor
     texture: Tensor | None  #: [R] Lab, mean difference of the colours of neighbours; of a union as the roughness
     colored: Tensor | None = None  #: [R] points with a colour; None: all. Colours and texture are NaN if it is 0
+
+    @classmethod
+    def union(cls, parts: Sequence[RegionStatistics]) -> RegionStatistics:
+        """The regions of several graphs, one after the other; all graphs have colours, or none has."""
+        columns: list[Any] = [None if all_[0] is None else torch.cat(all_) for all_ in zip(*parts, strict=True)]
+        return cls(*columns)
 
 
 class Surface(NamedTuple):

@@ -1,0 +1,88 @@
+"""Step 6, method learned: sums over the edges of boundaries, by hand, added, and against exact quantiles."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from torchjoint.segments.learned.boundaries import AVERAGED, BINS, MEASURES, Boundaries
+
+SHARES = (0.1, 0.5, 0.9)
+
+
+def of_gaps(values, pair, num_pairs):
+    return Boundaries.of(torch.tensor(pair), num_pairs, {"gap": torch.tensor(values)})
+
+
+def bounds(value, name):
+    """The bin of a value, in exact numbers: its bounds."""
+    scale, lowest = MEASURES[name], -1 if name == "crease" else 0
+    share = (value / (abs(value) + scale) - lowest) / (1 - lowest)
+    place = min(int(share * BINS), BINS - 1)
+
+    def bound(number):
+        share = lowest + number / BINS * (1 - lowest)
+        return scale * share / (1 - abs(share)) if abs(share) < 1 else math.copysign(math.inf, share)
+
+    return bound(place), bound(place + 1)
+
+
+def test_sums_and_means_by_hand():
+    found = of_gaps([5.0, 1, 3, math.nan, 2, 4, math.nan], [0, 0, 0, 0, 0, 2, 1], 3)
+    gap = list(MEASURES).index("gap")
+    assert found.num_edges.tolist() == [5, 1, 1]
+    assert found.total.sum(2)[:, gap].tolist() == [11, 0, 4]
+    assert found.binned.sum(2)[:, gap].tolist() == [4, 0, 1]
+    means, quantiles = found.means(), found.quantiles(SHARES)
+    assert means["gap"][[0, 2]].tolist() == [11 / 4, 4]
+    assert quantiles["gap"][[0, 2]].tolist() == [[1, 3, 5], [4, 4, 4]]  # the places 0.3, 1.5 and 2.7 are rounded
+    for missing in (means["gap"][1], quantiles["gap"][1], means["bend"], quantiles["bend"]):
+        assert missing.isnan().all()
+    assert all((means[name] == 0).all() for name in AVERAGED)
+
+
+def test_what_is_averaged_counts_all_edges():
+    values = {"views": torch.tensor([0, 2, 4]), "unoriented": torch.tensor([True, False, False])}
+    means = Boundaries.of(torch.tensor([0, 0, 1]), 2, values).means()
+    assert means["views"].tolist() == [1, 4]
+    assert means["unoriented"].tolist() == [0.5, 0]
+
+
+@given(st.data())
+def test_a_quantile_lies_in_the_bin_of_the_exact_one(data):
+    name = data.draw(st.sampled_from(list(MEASURES)))
+    numbers = st.floats(-2 if name == "crease" else 0, 100, width=32)
+    values = data.draw(st.lists(numbers, min_size=1, max_size=30))
+    found = Boundaries.of(torch.zeros(len(values), dtype=torch.int64), 1, {name: torch.tensor(values)})
+    quantiles = found.quantiles(SHARES)[name][0]
+    for quantile, share in zip(quantiles.tolist(), SHARES, strict=True):
+        exact = sorted(values)[int((torch.tensor(share) * (len(values) - 1)).round())]
+        low, high = bounds(exact, name)
+        slack = 1e-5 * (1 + abs(low))
+        assert low - slack <= quantile <= high + slack
+        if len(values) == 1:
+            assert quantile == exact
+    assert (quantiles.diff() >= 0).all()
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-30, 3e38, math.inf])
+def test_extreme_values(value):
+    found = of_gaps([value], [0], 1)
+    assert found.binned.sum() == (value < math.inf)
+    expected = [value] * 3 if value < math.inf else [math.nan] * 3
+    assert found.quantiles(SHARES)["gap"][0].tolist() == pytest.approx(expected, nan_ok=True)
+    assert not found.total.isnan().any()
+
+
+def test_groups_are_the_boundaries_of_all_their_edges():
+    generator = torch.Generator().manual_seed(0)
+    values = {name: torch.rand(200, generator=generator) for name in (*MEASURES, *AVERAGED)}
+    values["crease"][::3] = torch.nan
+    pair, of_pair = torch.arange(200) % 12, torch.arange(12) // 4
+    apart, expected = Boundaries.of(pair, 12, values), Boundaries.of(of_pair[pair], 3, values)
+    for found, wanted in zip(apart.grouped(of_pair, 3), expected, strict=True):
+        torch.testing.assert_close(found, wanted)
+    parts = [apart.selected(torch.arange(start, start + 6)) for start in (0, 6)]
+    assert all(map(torch.equal, Boundaries.union(parts), apart))

@@ -1,0 +1,108 @@
+"""Step 6, method learned: what is known about the edges between two pieces, as sums that add up when pieces merge."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchjoint.segments.learned.region_statistics import sum_by
+
+#: The measures of an edge, each with the value that divides its bins in two halves of equal number (a typical one):
+#:
+#: - crease: angle between the planes of the two ends, in right angles, negative where convex
+#: - bend: angle between the normals of the two ends, in right angles
+#: - wide_bend: the same, with normals fitted to the wider neighbourhoods of the planes
+#: - offset: distance of one end's plane to the mean of the other, in multiples of the noise: the smaller one
+#: - larger_offset: the larger one
+#: - gap: length, in multiples of the spacing
+#: - color_step: distance of the colours of the two ends, units of Lab
+#: - disagreement: r of eq. 6
+#: - contour: strength of the images' boundaries across the edge, mean over those that see both ends
+MEASURES = {
+    "crease": 0.2, "bend": 0.2, "wide_bend": 0.2, "offset": 1.0, "larger_offset": 2.0, "gap": 1.5, "color_step": 8.0,
+    "disagreement": 0.3, "contour": 0.03,
+}  # fmt: skip
+#: Values of an edge of which a boundary has only the mean: the crease where it is hollow; whether the normal of an end
+#: is not oriented; whether an image sees both ends; how many do.
+AVERAGED = ("hollow", "unoriented", "seen", "views")
+#: Number of bins of a measure. The bins of the crease begin at -1 and all others at 0, see :func:`_bins`.
+BINS = 16
+_LOWEST = torch.tensor([-1.0] + [0.0] * (len(MEASURES) - 1))
+_SCALES = torch.tensor(list(MEASURES.values()))
+
+
+class Boundaries(NamedTuple):
+    """The Q boundaries between pieces. All numbers are sums over their edges."""
+
+    num_edges: Tensor  #: [Q] int64
+    averaged: Tensor  #: [Q, A] float64, sums of AVERAGED
+    #: [Q, M, BINS] float32, whole numbers: edges by the bin of their measure. An edge without a value is in no bin.
+    binned: Tensor
+    total: Tensor  #: [Q, M, BINS] float32, sum of the values in each bin
+
+    @classmethod
+    def of(cls, pair: Tensor, num_pairs: int, values: Mapping[str, Tensor]) -> Boundaries:
+        """Sums over edges.
+
+        Args:
+            pair: [C] int64, boundary of each edge, 0 ... Q - 1.
+            num_pairs: Q.
+            values: those of MEASURES and AVERAGED that are known, [C] each, NaN = missing.
+        """
+        averaged = torch.zeros(num_pairs, len(AVERAGED), dtype=torch.float64)
+        binned, total = torch.zeros(2, num_pairs, len(MEASURES), BINS)
+        for number, name in enumerate(AVERAGED):
+            if name in values:
+                averaged[:, number] = sum_by(pair, values[name].double(), num_pairs)
+        for number, name in enumerate(MEASURES):
+            if name in values:
+                value, known = values[name].nan_to_num(0, 0, 0), values[name].isfinite()
+                key = pair * BINS + _bins(value, number)
+                for sums, of_edge in ((binned, known), (total, value)):
+                    sums[:, number] = torch.bincount(key, of_edge, num_pairs * BINS).view(num_pairs, BINS)
+        return cls(torch.bincount(pair, minlength=num_pairs), averaged, binned, total)
+
+    def grouped(self, of_pair: Tensor, num_pairs: int) -> Boundaries:
+        """Adds boundaries that become one; `of_pair` [Q] int64 is the new one of each."""
+        return Boundaries(*(sum_by(of_pair, values, num_pairs) for values in self))
+
+    def selected(self, kept: Tensor) -> Boundaries:
+        """The boundaries with the numbers `kept` [q] int64, in this order."""
+        return Boundaries(*(values.index_select(0, kept) for values in self))
+
+    @classmethod
+    def union(cls, parts: Sequence[Boundaries]) -> Boundaries:
+        """The boundaries of several graphs, one after the other."""
+        return cls(*(torch.cat(values) for values in zip(*parts, strict=True)))
+
+    def means(self) -> dict[str, Tensor]:
+        """Mean of each measure over the edges with a value, [Q] float64, NaN without one; of AVERAGED over all."""
+        measured = self.total.sum(2, dtype=torch.float64) / self.binned.sum(2)
+        columns = torch.cat([measured, self.averaged / self.num_edges[:, None]], 1)
+        return dict(zip((*MEASURES, *AVERAGED), columns.unbind(1), strict=True))
+
+    def quantiles(self, shares: Sequence[float]) -> dict[str, Tensor]:
+        """Quantiles of each measure, [Q, len(shares)] float32, NaN without a value.
+
+        The quantile q of n values is the one at place (n - 1) q in ascending order, rounded; instead of it, the mean of
+        all values in its bin is given.
+        """
+        up_to = self.binned.cumsum(2).flatten(0, 1)  # [Q M, BINS]
+        place = ((up_to[:, -1:] - 1) * torch.tensor(shares)).round()
+        bin_ = torch.searchsorted(up_to, place, right=True).clamp_(max=BINS - 1)
+        total, count = (sums.flatten(0, 1).gather(1, bin_) for sums in (self.total, self.binned))
+        found = (total / count).view(len(self.num_edges), len(MEASURES), len(shares))
+        return dict(zip(MEASURES, found.unbind(1), strict=True))
+
+
+def _bins(values: Tensor, measure: int) -> Tensor:
+    """The bin of each value [C], 0 ... BINS - 1.
+
+    The bins are narrow where values are typical, and reach to infinity. All operations round alike on all machines.
+    """
+    lowest = _LOWEST[measure]
+    share = (values / (values.abs() + _SCALES[measure]) - lowest) / (1 - lowest)
+    return (share * BINS).long().clamp_(0, BINS - 1)
