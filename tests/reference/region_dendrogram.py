@@ -11,7 +11,9 @@ from torch import Tensor
 from reference.arguments import EDGES, NAN, VALUES, changed, large_graph
 from torchjoint.ops import region_dendrogram
 
-EXAMPLE: dict[str, Any] = {"edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5}
+EXAMPLE: dict[str, Any] = {
+    "edge_index": EDGES, "cost": VALUES, "num_regions": 4, "threshold": 0.5, "count": torch.tensor([1, 2, 1]),
+}  # fmt: skip
 ERRORS = [
     ({"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
     ({"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
