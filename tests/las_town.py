@@ -5,6 +5,8 @@ import numpy as np
 
 #: UTM: float32 keeps half a metre of the northing.
 ORIGIN = np.array([691_000.0, 5_334_000.0, 500.0])
+#: Their coordinate system.
+WKT = 'PROJCS["WGS 84 / UTM zone 32N",UNIT["metre",1,AUTHORITY["EPSG","9001"]],AUTHORITY["EPSG","32632"]]'
 
 
 def town(num_points, side, seed=0):
@@ -27,7 +29,7 @@ def write_las(path, points, seed=0):
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.offsets, header.scales = ORIGIN, [0.001] * 3
     header.add_extra_dim(laspy.ExtraBytesParams("quality", np.int16))
-    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr('PROJCS["WGS 84 / UTM zone 32N"]'))
+    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(WKT))
     cloud, rng = laspy.LasData(header), np.random.default_rng(seed)
     cloud.xyz = points + ORIGIN
     cloud.red = cloud.green = cloud.blue = np.full(len(points), 30000, np.uint16)

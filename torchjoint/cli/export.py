@@ -12,7 +12,7 @@ from torchjoint.cli.arguments import output_file, output_files_in
 from torchjoint.datasets.files import las
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.results.exports import FORMATS, SUFFIXES
-from torchjoint.results.exports.boxes import export_labelcloud
+from torchjoint.results.exports.boxes import export_geojson, export_labelcloud
 from torchjoint.results.folder import parts_of, read_origin
 from torchjoint.results.labelled_file import label_file
 from torchjoint.results.loading import load_result
@@ -32,6 +32,7 @@ def export(
         "las",
         "npz",
         "csv",
+        "geojson",
         "scannet",
         "masks",
         "openmask3d",
@@ -54,9 +55,10 @@ def export(
         format: coco: COCO's JSON of instances, for all images; sam: a JSON for each image, as in SA-1B; ply: a cloud
             for each segment; las: the .las or .laz that was segmented, with all that it has, and the dimensions `label`
             and `confidence` (other clouds: points, colours and these); npz: all labels as arrays; csv: a line for each
-            segment: name, points, place, size, confidence; scannet: instances as its benchmark reads them, SCENE.txt
-            and predicted_masks/; masks: the same as an archive with pred_masks, pred_score and pred_classes;
-            openmask3d: SCENE_masks.pt and the saved embeddings, SCENE_openmask3d_features.npy; graph: what stands on
+            segment: name, points, place, size, confidence; geojson: the same with the footprint of each segment, seen
+            along z, in the coordinate system of the .las or .laz that was segmented; scannet: instances as its
+            benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an archive with pred_masks,
+            pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings, SCENE_openmask3d_features.npy; graph: what stands on
             what, as "relations" in RESULT/segments.json, without corrections; openpcdet, labelcloud,
             segmentsai-cuboids, cvat: upright boxes with names, for networks of detection and for annotation;
             segmentsai: the label of each point, for annotation (`torchjoint edits import` brings boxes and labels
@@ -90,6 +92,9 @@ def export(
     with made.written() as path:
         if format == "labelcloud":
             export_labelcloud(path, loaded, out.with_suffix(".ply"))
+        elif format == "geojson":
+            survey = _survey(result)
+            export_geojson(path, loaded, None if survey is None else las.epsg_of(survey))
         elif format == "las" and (survey := _survey(result)) is not None:
             label_file(survey, path, loaded)
         else:
@@ -107,8 +112,8 @@ def _survey(result: Path) -> Path | None:
     if source.is_file() and fingerprint(source) == origin.fingerprint:
         return source
     warnings.warn(
-        f"{source}: not there any more, or changed since; OUT has points, colours and labels, but no coordinate system "
-        "and no other dimension; `torchjoint label RESULT FILE -o OUT.laz` puts the labels into the file as it is now",
+        f"{source}: not there any more, or changed since; OUT has neither its coordinate system nor its other "
+        "dimensions; `torchjoint label RESULT FILE -o OUT.laz` puts the labels into the file as it is now",
         stacklevel=3,
     )
     return None

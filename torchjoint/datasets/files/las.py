@@ -10,6 +10,7 @@ If all are 0, there are none.
 from __future__ import annotations
 
 import math
+import re
 import struct
 import warnings
 from collections.abc import Iterator
@@ -31,6 +32,8 @@ SUFFIXES = (".las", ".laz")
 CHUNK = 1_000_000
 #: Sizes of the header's fixed part, of the header of a variable length record, and of an extended one, bytes.
 HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
+#: Keys of GeoTIFF: the projected coordinate system, the geographic one, and their value if the code is not EPSG's.
+PROJECTED, GEOGRAPHIC, USER_DEFINED = 3072, 2048, 32767
 #: Set in the point format's number if the points are compressed.
 COMPRESSED = 0x80
 
@@ -50,6 +53,20 @@ def read_las(path: Path) -> CloudFile:
     xyz = torch.from_numpy(np.concatenate([part.xyz for part in parts]))
     rgb = np.concatenate([part.rgb for part in parts if part.rgb is not None]) if parts[0].rgb is not None else None
     return CloudFile(xyz, unit_colors(rgb) if rgb is not None and rgb.any() else None)
+
+
+def epsg_of(path: Path) -> int | None:
+    """The EPSG code of a file's horizontal coordinate system, from its WKT or its GeoTIFF keys; None if it has none."""
+    with open_las(path) as reader:
+        records = [*reader.header.vlrs, *(reader.evlrs or ())]
+    text = next((one.string for one in records if type(one).__name__ == "WktCoordinateSystemVlr"), "")
+    horizontal = re.split(r",\s*VERT", text)[0]  # of a compound system
+    # The code of a system stands at its end; codes before it are those of its parts.
+    if found := re.search(r'(?:AUTHORITY|ID)\["EPSG",\s*"?(\d+)"?\]\s*\][\s\0]*$', horizontal):
+        return int(found[1])
+    keys = {key.id: key.value_offset for one in records for key in getattr(one, "geo_keys", ())}
+    code = keys.get(PROJECTED, keys.get(GEOGRAPHIC))
+    return code if code not in (None, USER_DEFINED) else None
 
 
 @contextmanager

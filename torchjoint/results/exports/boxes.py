@@ -8,7 +8,10 @@ from __future__ import annotations
 import json
 import math
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
+
+import numpy as np
 
 from torchjoint.results.boxes import (
     boxes_of,
@@ -36,12 +39,43 @@ COLUMNS = ("id", "name", "points", "x", "y", "z", "size_x", "size_y", "size_z", 
 @on_cpu()
 def export_csv(path: Path, result: Result) -> None:
     """Writes a line for each segment: COLUMNS; x, y, z is the middle of its upright box, size its sides."""
-    rows: list[tuple[object, ...]] = [COLUMNS]
+    rows = (["" if value is None else value for value in row] for row in _rows(result))
+    write_text(path, csv_text([COLUMNS, *rows]))
+
+
+@on_cpu()
+def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
+    """Writes the footprint of each segment, the convex hull of its points seen along z, with the values of COLUMNS.
+
+    Args:
+        path: of the file; QGIS, GDAL and GeoPandas read it.
+        result: with places in metres, or in the unit of the survey.
+        epsg: EPSG code of the cloud's coordinate system, named as GeoJSON of 2008 did; None: the file names none.
+    """
+    import cv2
+
+    features = []
+    for row in _rows(result):
+        places = result.scene.points[result.points == row[0], :2].double().numpy()
+        origin = places.mean(0)  # float32 has too few digits for coordinates of surveys
+        corners = cv2.convexHull((places - origin).astype(np.float32))[:, 0].astype(float) + origin
+        ring = [[round(value, 4) for value in corner] for corner in (*corners.tolist(), corners[0].tolist())]
+        shape = (
+            {"type": "Polygon", "coordinates": [ring]} if len(ring) > 3 else {"type": "Point", "coordinates": ring[0]}
+        )
+        properties = dict(zip(COLUMNS, row, strict=True))
+        features.append({"type": "Feature", "id": row[0], "properties": properties, "geometry": shape})
+    system = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}
+    collection = {"type": "FeatureCollection", **({} if epsg is None else {"crs": system}), "features": features}
+    write_text(path, json.dumps(collection, ensure_ascii=False))
+
+
+def _rows(result: Result) -> Iterator[tuple[int | str | float | None, ...]]:
+    """The values of COLUMNS of each segment."""
     for one in segment_records(result.scene, result):
         lengths = [round(float(value), 4) for value in (*one.box.center, *one.box.size)]
-        sure = "" if one.confidence is None else round(one.confidence, 4)
-        rows.append((one.id, result.segment_names.get(one.id, ""), one.points, *lengths, sure))
-    write_text(path, csv_text(rows))
+        sure = None if one.confidence is None else round(one.confidence, 4)
+        yield one.id, result.segment_names.get(one.id, ""), one.points, *lengths, sure
 
 
 @on_cpu()
