@@ -58,8 +58,9 @@ def export(
             segment: name, points, place, size, confidence; geojson: the same with the footprint of each segment, seen
             along z, in the coordinate system of the .las or .laz that was segmented; scannet: instances as its
             benchmark reads them, SCENE.txt and predicted_masks/; masks: the same as an archive with pred_masks,
-            pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings, SCENE_openmask3d_features.npy; graph: what stands on
-            what, as "relations" in RESULT/segments.json, without corrections; openpcdet, labelcloud,
+            pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings,
+            SCENE_openmask3d_features.npy; graph: what stands on what, as "relations" in RESULT/segments.json, without
+            corrections; openpcdet, labelcloud,
             segmentsai-cuboids, cvat: upright boxes with names, for networks of detection and for annotation;
             segmentsai: the label of each point, for annotation (`torchjoint edits import` brings boxes and labels
             back). coco, sam and las need `pip install 'torchjoint[export]'`.
