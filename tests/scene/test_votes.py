@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -111,5 +112,11 @@ def test_judges_of_a_small_room(scene_of):
     assert (result.point_confidence <= result.confidence[result.points] + 1e-12).all()
     counts = torch.bincount(result.points)
     assert result.confidence[counts.argmax()] > result.confidence[counts.argmin()]
+    seen = [tj.Masks.from_labels(labels) for labels in scene.truth.images]
+    frames = [replace(frame, masks=masks) for frame, masks in zip(scene.frames, seen, strict=True)]
+    masked = tj.JointSegmenter()(tj.Scene(scene.points, frames, colors=scene.colors))
+    assert masked.hierarchy.votes.segments.shape == (3, masked.hierarchy.num_pieces)
+    assert torch.equal(masked.hierarchy.votes.size, torch.bincount(masked.hierarchy.piece))
+    assert masked.confidence.shape == (masked.num_point_segments,)
     by_paper = tj.JointSegmenter(tj.Config.from_preset("paper"))(scene)
     assert by_paper.confidence is None

@@ -112,7 +112,7 @@ class Segmentation:
         """How sure each segment of the cloud is: [num_point_segments] float64 in [0, 1].
 
         It is the probability that the segment has an IoU of at least .5 with an object. It follows from how far the
-        judges of method learned agree. None: there were no judges, as with other methods, or with masks.
+        judges of method learned agree; with masks there are three, and it is not calibrated. None: no judges.
         """
         return None if self._confidence is None else self._confidence.of_segment
 

@@ -27,12 +27,14 @@ from torchjoint.scene.hierarchy import Votes
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
     Merges,
+    build_hierarchy,
     default_height,
     merge_pieces,
     merging_steps,
 )
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
+from torchjoint.segments.learned.masks import MaskLinkage
 from torchjoint.segments.learned.piece_graph import PieceGraph, counted, disjoint_union
 from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.segments.learned.small_regions import merges_by_contact
@@ -127,7 +129,7 @@ class Panel:
 
 
 def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierarchy:
-    """The consensus of the trees of many judges: :class:`Panel`.
+    """The consensus of the trees of many judges: :class:`Panel`. With masks, each draw has one tree, of all members.
 
     Args:
         draws: the pieces and what is known about their boundaries, one or several times. Each draw has its share of the
@@ -141,7 +143,11 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
     """
     pieces = draws[0]
     size = pieces.statistics.size.long()
-    levels, segments = segments_of_judges(draws, Panel(model), model.thresholds)
+    linkage = MaskLinkage.of(pieces.masks, size)
+    if linkage is None:
+        levels, segments = segments_of_judges(draws, Panel(model), model.thresholds)
+    else:
+        levels, segments = _segments_by_masks(draws, model)
     merges, below, default = Merges(len(size)), 0.0, default_height(model.thresholds)
     of_piece = torch.arange(len(size))
     for level, of_judges in zip(levels, segments, strict=True):
@@ -155,8 +161,8 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
             of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
         if level == default:
             votes = Votes(torch.stack(of_judges), size)
-            regions = pieces.grouped(of_piece)
-            joined = merges_by_contact(regions.pairs, regions.boundaries.num_edges, regions.statistics.size)
+            regions, stays = pieces.grouped(of_piece), None if linkage is None else linkage.confirmed(of_piece)
+            joined = merges_by_contact(regions.pairs, regions.boundaries.num_edges, regions.statistics.size, stays)
             merges.add(of_piece, joined, torch.full((joined.shape[1],), level, dtype=torch.float64), level)
             of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
         below = level
@@ -170,8 +176,7 @@ def segments_of_judges(
 
     The segments [P] are those of the first draw's pieces: a piece is where most of its points are after the first step.
     """
-    levels = sorted({threshold for _, threshold in merging_steps(thresholds)})
-    levels += [threshold for threshold in COARSER if threshold > levels[-1]]
+    levels = _levels(thresholds)
     segments: list[list[Tensor]] = [[] for _ in levels]
     graphs: list[PieceGraph] = []
     regions: list[Tensor] = []
@@ -187,6 +192,21 @@ def segments_of_judges(
             segments = [found + more for found, more in zip(segments, merged, strict=True)]
             graphs, regions, judges = [], [], []
     return levels, segments
+
+
+def _levels(thresholds: Sequence[float]) -> list[float]:
+    levels = sorted({threshold for _, threshold in merging_steps(thresholds)})
+    return levels + [threshold for threshold in COARSER if threshold > levels[-1]]
+
+
+def _segments_by_masks(draws: Sequence[PieceGraph], model: BoundaryModel) -> tuple[list[float], list[list[Tensor]]]:
+    """As :func:`segments_of_judges`, with masks."""
+    levels, piece = _levels(model.thresholds), draws[0].piece
+    of_draws = []
+    for pieces in draws:
+        tree = build_hierarchy(pieces, model)
+        of_draws.append(_of_other_pieces([tree.segments_of_pieces(level) for level in levels], pieces.piece, piece))
+    return levels, [list(of_level) for of_level in zip(*of_draws, strict=True)]
 
 
 def _first_regions(pieces: PieceGraph, panel: Panel, judges: Tensor, threshold: float) -> list[Tensor]:

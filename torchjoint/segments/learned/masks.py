@@ -273,7 +273,10 @@ def move_to_majority(
     # If points stay to keep their piece, another piece that would have received them may be lost: test again.
     while (is_lost := torch.bincount(hierarchy.piece[source], minlength=hierarchy.num_pieces) == 0).any():
         source = torch.where(is_lost[hierarchy.piece], stays, source)
-    return hierarchy.transferred(source)[0]
+    moved = hierarchy.transferred(source)[0]
+    if moved.votes is None:
+        return moved
+    return replace(moved, votes=moved.votes._replace(size=torch.bincount(moved.piece)))
 
 
 def _wanted_regions(region: Tensor, region_of_mask: Tensor, observations: Sequence[Observation]) -> Tensor:

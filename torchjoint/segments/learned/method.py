@@ -11,7 +11,6 @@ from torchjoint.cloud.scales import working_cloud
 from torchjoint.config import Config
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Cloud, Hierarchy
-from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
 from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
 from torchjoint.segments.learned.masks import move_to_majority
@@ -41,14 +40,14 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
     scales, model = graph.scales, _model(config)
     colors = measure_colors(graph, evidence.observations)
     pieces = build_piece_graph(graph, scales, evidence, colors)
-    if pieces.masks is not None:  # they say much more than a judge, so there is one tree, of the model
-        hierarchy = build_hierarchy(pieces, model)
-        return move_to_majority(hierarchy, graph.edge_index, pieces.masks, evidence.observations)
 
     def draw(number: int) -> PieceGraph:
         return build_piece_graph(drawn_anew(graph, scales, number), scales, evidence, colors) if number else pieces
 
-    return build_consensus(LazySequence(DRAWS, draw), model)
+    hierarchy = build_consensus(LazySequence(DRAWS, draw), model)
+    if pieces.masks is None:
+        return hierarchy
+    return move_to_majority(hierarchy, graph.edge_index, pieces.masks, evidence.observations)
 
 
 def measured(graph: PointGraph) -> str:
