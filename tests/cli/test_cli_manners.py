@@ -12,6 +12,7 @@ import torch
 from folder_files import write_folder
 
 import torchjoint as tj
+from torchjoint.cli.main import COMMANDS
 from torchjoint.config import presets
 from torchjoint.datasets.formats import FORMATS
 from torchjoint.datasets.fusion import fuse_cloud
@@ -35,6 +36,25 @@ def test_help_lists_the_presets(run, capsys, arguments):
     text = " ".join(capsys.readouterr().out.split())
     for preset in presets():
         assert preset in text
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ("demo", "formats", "parameters")])
+def test_help_has_an_example_and_names_values_as_the_text_does(run, capsys, command):
+    with pytest.raises(SystemExit):
+        run(command, "--help")
+    text = " ".join(capsys.readouterr().out.split())
+    assert "(default: None)" not in text
+    assert "(default: False)" not in text
+    assert "PATH" not in text
+    assert "--no-overwrite" not in text
+    assert (f"Example: torchjoint {command} " in text) == bool(COMMANDS[command].example)
+
+
+def test_a_result_has_a_name_by_default(run, scene_of, tmp_path, monkeypatch):
+    write_folder(tmp_path / "kitchen", scene_of(0))
+    monkeypatch.chdir(tmp_path)
+    run("segment", "kitchen")
+    assert (tmp_path / "kitchen-result" / "points.ply").is_file()
 
 
 def test_parameters_of_one_stage(run, capsys):

@@ -6,12 +6,16 @@ import argparse
 import os
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor
+from dataclasses import is_dataclass
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import version
-from typing import NamedTuple, NoReturn
+from inspect import cleandoc
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, NamedTuple, NoReturn, get_args, get_origin, get_type_hints
 
 from torchjoint.runtime.files import cache_folder
 from torchjoint.runtime.messages import in_one_line, is_out_of_memory, on_terminal
@@ -26,6 +30,7 @@ class Command(NamedTuple):
 
     function: str  #: module:function
     help: str  #: what it does, in one line
+    example: str = ""  #: arguments of a common call
 
 
 def run(program: str, commands: Mapping[str, Command], description: str, interrupted: str) -> None:
@@ -54,7 +59,7 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
     try:
         command, arguments = names.parse_known_args(sys.argv[1:2])[0].command, sys.argv[2:]
         module, _, function = commands[command].function.partition(":")
-        _call(getattr(import_module(module), function), f"{program} {command}", arguments)
+        _call(getattr(import_module(module), function), f"{program} {command}", arguments, commands[command].example)
         sys.stdout.flush()  # here, where an error of a closed pipe can still be handled
     except BrokenPipeError:  # `torchjoint parameters | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -66,10 +71,32 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         _tell(program, error)
 
 
-def _call(function: object, program: str, arguments: list[str]) -> None:
+def _call(function: Callable[..., None], program: str, arguments: list[str], example: str) -> None:
     import tyro
 
-    tyro.cli(function, prog=program, args=arguments)  # type: ignore[call-overload]
+    _name_values(function)
+    text = cleandoc(function.__doc__ or "").partition("\n\nArgs:")[0]
+    text = f"Example: {program} {example}\n\n{text}" if example else text
+    tyro.cli(function, prog=program, args=arguments, description=text, config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def _name_values(owner: Any) -> None:
+    """Names the values in the help of a function or dataclass: a path by its argument, as the text does: OUT."""
+    import tyro
+
+    for name, hint in get_type_hints(owner, include_extras=True).items():
+        kind, extras = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
+        if is_dataclass(kind):
+            _name_values(kind)
+        parts = [one for one in get_args(kind) or (kind,) if one is not type(None)]
+        is_named = any(getattr(extra, "metavar", None) for extra in extras)
+        may_be_none = isinstance(kind, UnionType)
+        if name == "return" or is_named or len(parts) != 1 or not (may_be_none or kind in (Path, bool)):
+            continue
+        words = [one.__name__.upper() for one in get_args(parts[0]) or parts if isinstance(one, type)]
+        value = None if kind is bool else name.upper() if parts == [Path] else " ".join(words) or None
+        hide = None if kind is Path else ""  # neither "(default: None)" nor "(default: False)"
+        owner.__annotations__[name] = Annotated[hint, tyro.conf.arg(metavar=value, help_behavior_hint=hide)]
 
 
 def _tell(program: str, error: Exception) -> NoReturn:
@@ -83,14 +110,34 @@ def _tell(program: str, error: Exception) -> NoReturn:
 
 COMMANDS = {
     "demo": Command("torchjoint.cli.demo:demo", "segments a rendered room, and scores it; needs no data"),
-    "segment": Command("torchjoint.cli.segment:segment", "segments a recording: posed frames, with or without a cloud"),
-    "batch": Command("torchjoint.cli.batch:batch", "segments any number of recordings over many workers"),
-    "live": Command("torchjoint.cli.live:live", "plays a recording with depth, and segments what was seen so far"),
-    "superpoints": Command("torchjoint.cli.superpoints:superpoints", "cuts a cloud of any size into superpoints"),
-    "show": Command("torchjoint.cli.show:show", "shows a result in the browser"),
-    "export": Command("torchjoint.cli.export:export", "writes a result in the format of another tool"),
+    "segment": Command(
+        "torchjoint.cli.segment:segment",
+        "segments a recording: posed frames, with or without a cloud",
+        "my_recording -o result",
+    ),
+    "batch": Command(
+        "torchjoint.cli.batch:batch", "segments any number of recordings over many workers", "scans/* -o results"
+    ),
+    "live": Command(
+        "torchjoint.cli.live:live",
+        "plays a recording with depth, and segments what was seen so far",
+        "my_recording --show",
+    ),
+    "superpoints": Command(
+        "torchjoint.cli.superpoints:superpoints",
+        "cuts a cloud of any size into superpoints",
+        "cloud.laz -o superpoints.laz",
+    ),
+    "show": Command("torchjoint.cli.show:show", "shows a result in the browser", "result"),
+    "export": Command(
+        "torchjoint.cli.export:export", "writes a result in the format of another tool", "result --format coco"
+    ),
     "edits": Command("torchjoint.cli.edits:edits", "brings corrections of another program back into a result"),
-    "label": Command("torchjoint.cli.label:label", "puts labels into the file of a cloud, a mesh or Gaussian splats"),
+    "label": Command(
+        "torchjoint.cli.label:label",
+        "puts labels into the file of a cloud, a mesh or Gaussian splats",
+        "result site.laz -o labelled.laz",
+    ),
     "formats": Command("torchjoint.cli.arguments:formats", "lists the formats of recordings that can be read"),
     "parameters": Command("torchjoint.cli.arguments:parameters", "prints the parameters as tables"),
     "completion": Command("torchjoint.cli.arguments:completion", "prints a script that completes commands in a shell"),

@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
-from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, Out
+from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading
 from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import live_view, show_result
 from torchjoint.engine import open_engine
@@ -19,7 +19,7 @@ from torchjoint.runtime.messages import say
 
 def segment(
     scene: tyro.conf.Positional[Path],
-    out: Out,
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     parameters: Flat = DEFAULTS,
     reading: FlatReading = AS_IT_IS,
     overwrite: bool = False,
@@ -37,7 +37,7 @@ def segment(
     Args:
         scene: folder of frames; docs/your_data.md lists the layouts.
         out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml; with method learned also
-            hierarchy.npz and pieces/.
+            hierarchy.npz and pieces/. Default: SCENE-result in the current folder.
         parameters: parameters of the method.
         reading: how recordings are read.
         overwrite: replace OUT if it is an earlier result.
@@ -52,7 +52,7 @@ def segment(
         show: show the run in the browser: first the labels so far, which change with each frame, then the result, as
             `torchjoint show` does.
     """
-    view = live_view(show)
+    out, view = out or Path(f"{scene.resolve().stem}-result"), live_view(show)
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
         segmented = segment_recording(
             scene,

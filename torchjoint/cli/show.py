@@ -61,7 +61,7 @@ def show(
         host: address of the page; 127.0.0.1: only this machine can open it; 0.0.0.0: any machine can that knows the
             printed address.
         port: of the page; if it is in use, the next free one.
-        open_browser: open the page.
+        open_browser: the page is opened, unless this is given.
         text_encoder: package.module:function of yours that makes a vector of words, by the network that made the
             embeddings of OUT; the page then finds things by words.
     """

@@ -54,7 +54,8 @@ def superpoints(
             .npy, .xyz or .txt file: x y z, r g b, nnn (a normal), any other to leave it out: xyzrgbl.
         drop_invalid: leave out the points that are NaN or infinite, and tell their number; in a .npy their label
             is -1. Else they are an error.
-        picture: write a picture of the cloud and its superpoints next to OUT (not if OUT is .las or .laz).
+        picture: a picture of the cloud and its superpoints stands next to OUT (not if OUT is .las or .laz), unless
+            this is given.
         overwrite: replace existing files.
         tile: side of a tile of a .las or .laz, metres; default: the largest tile with at most 2 million points.
         buffer: width of the rim that a tile shares with its neighbours, metres; default: 60 x the typical distance of
