@@ -71,7 +71,7 @@ def test_a_data_set(scans, scene_of, run_lab, tmp_path, capsys, protocol):
         else:
             write_listing(predictions, scan, masks, scores)
         metric.update(masks, truth, scores)
-    run_lab("evaluate", predictions, scans, *([] if protocol is None else ["--protocol", protocol, "--class-agnostic"]))
+    run_lab("evaluate", predictions, scans, *([] if protocol is None else ["--protocol", protocol]))
     ap, ap50, ap25 = metric.compute()
     assert 0 < ap < 1
     assert f"AP {ap:.3f}, AP50 {ap50:.3f}, AP25 {ap25:.3f}" in capsys.readouterr().out
@@ -152,8 +152,6 @@ def test_a_protocol_needs_its_table_and_its_truth(scans, run_lab, tmp_path, scen
     with pytest.raises(SystemExit, match=r"labels\.combined\.tsv: missing, also in the two folders above"):
         run_lab("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannet200")
     run_lab("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannet200", "--label-table", tmp_path / "labels.tsv")
-    with pytest.raises(SystemExit, match="expected --class-agnostic; classes of predictions are not read"):
-        run_lab("evaluate", tmp_path / "a.npy", scan, "--no-class-agnostic")
     with pytest.raises(SystemExit, match="--label-table: expected a --protocol"):
         run_lab("evaluate", tmp_path / "a.npy", scan, "--label-table", tmp_path / "labels.tsv")
     table.write_text("id\traw_category\n1\twall\n")

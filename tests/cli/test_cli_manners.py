@@ -50,6 +50,14 @@ def test_help_has_an_example_and_names_values_as_the_text_does(run, capsys, comm
     assert (f"Example: torchjoint {command} " in text) == bool(COMMANDS[command].example)
 
 
+def test_a_wrong_value_is_one_error(run, capsys):
+    with pytest.raises(SystemExit):
+        run("segment", "a", "--max-frames", "x")
+    text = capsys.readouterr().err
+    assert "--max-frames: invalid literal for int() with base 10: 'x'" in " ".join(text.replace("│", "").split())
+    assert "None" not in text.replace("None: all", "")
+
+
 def test_a_result_has_a_name_by_default(run, scene_of, tmp_path, monkeypatch):
     write_folder(tmp_path / "kitchen", scene_of(0))
     monkeypatch.chdir(tmp_path)

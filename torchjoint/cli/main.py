@@ -96,7 +96,10 @@ def _name_values(owner: Any) -> None:
         words = [one.__name__.upper() for one in get_args(parts[0]) or parts if isinstance(one, type)]
         value = None if kind is bool else name.upper() if parts == [Path] else " ".join(words) or None
         hide = None if kind is Path else ""  # neither "(default: None)" nor "(default: False)"
-        owner.__annotations__[name] = Annotated[hint, tyro.conf.arg(metavar=value, help_behavior_hint=hide)]
+        # A type or None would be tried as None, too, and a wrong value would be two errors.
+        made: Any = parts[0] if may_be_none and parts[0] in (Path, str, int, float) else None
+        more = tyro.conf.arg(metavar=value, help_behavior_hint=hide, constructor=made)
+        owner.__annotations__[name] = Annotated[hint, more]
 
 
 def _tell(program: str, error: Exception) -> NoReturn:

@@ -33,7 +33,6 @@ def evaluate(
     scene: tyro.conf.Positional[Path],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     protocol: Name | None = None,
-    class_agnostic: bool = True,
     label_table: Path | None = None,
     voxel_size: float = 0.02,
     overwrite: bool = False,
@@ -49,7 +48,6 @@ def evaluate(
         scene: a scene with ground truth, or a data set of such scenes; docs/your_data.md lists the layouts.
         protocol: for scans of ScanNet or ScanNet++: which true instances count, those of the 18 classes of ScanNet v2,
             of the 198 of ScanNet200, or of the 84 of ScanNet++; all others are void. Classes are not compared.
-        class_agnostic: there is no other way: predictions need no classes.
         label_table: scannetv2-labels.combined.tsv, or metadata/semantic_benchmark/map_benchmark.csv of ScanNet++;
             default: the one in SCENE, or in the two folders above.
         out: folder for scores.csv and scores.png, and for levels.csv if there are levels.
@@ -57,8 +55,6 @@ def evaluate(
         overwrite: replace files in OUT.
     """
     files = None if out is None else check_output(out, (TABLE, PICTURE, LEVELS), overwrite, (pred, scene, label_table))
-    if not class_agnostic:
-        raise ValueError("--no-class-agnostic: expected --class-agnostic; classes of predictions are not read")
     if protocol is None and label_table is not None:
         raise ValueError("--label-table: expected a --protocol, too")
     table = (label_table or find_table(scene, protocol)) if protocol is not None else None
