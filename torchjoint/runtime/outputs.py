@@ -261,6 +261,13 @@ def check_no_input(out: Path, inputs: Iterable[Path | None], option: str = "-o")
             raise ValueError(f"{option}: expected a folder that does not contain the input, {given}, got {out}")
 
 
+def check_apart(out: Path, other: Path, option: str) -> None:
+    """Checks that of two outputs of one command none is the other, or in it; `option`: of the other."""
+    one, two = Path(os.path.realpath(out)), Path(os.path.realpath(other))
+    if one == two or one in two.parents or two in one.parents:
+        raise ValueError(f"{option}: expected a path outside of the output, {out}, got {other}")
+
+
 def is_fixed(out: Path) -> bool:
     """Whether a folder exists and cannot be renamed: a mount point, or in a read-only folder."""
     return out.is_dir() and (_is_mount_point(out) or not os.access(out.parent, os.W_OK | os.X_OK))

@@ -61,7 +61,7 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
         only_places: decompress only coordinates and colours, if the file's point format allows it.
     """
     laspy = las_library()
-    check_header(path)
+    header = check_header(path)
     wanted = laspy.DecompressionSelection.all()
     if only_places:
         kinds = laspy.DecompressionSelection
@@ -70,6 +70,8 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
     try:
         with _clear_errors(path):
             reader = laspy.open(path, decompression_selection=wanted)
+            if header.is_compressed:
+                _compare_chunks(reader, header, path)
         yield reader
     finally:
         if reader is not None:
@@ -120,6 +122,30 @@ def _clear_errors(path: Path) -> Iterator[None]:
         if isinstance(error, MemoryError):
             raise
         raise ValueError(f"{path}: not a whole LAS file: {error}") from error
+
+
+def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
+    """Compares the header's number of points with the chunks'; in formats 0 to 5 they do not tell that of the last."""
+    import lazrs
+
+    kind = lazrs.LazVlr(reader.header.vlrs.get("LasZipVlr")[0].record_data)
+    with path.open("rb") as stream:
+        stream.seek(header.points_at)
+        *full, last = lazrs.read_chunk_table(stream, kind)
+        least = most = sum(count for count, _ in full)
+        if kind.uses_variable_size_chunks():
+            least, most = least + last[0], most + last[0]
+        elif reader.header.point_format.id < 6:
+            least, most = least + 1, most + last[0]
+        else:  # the number stands behind the first point
+            stream.seek(header.points_at + 8 + sum(size for _, size in full) + header.record_size)
+            least = most = least + int.from_bytes(stream.read(4), "little")
+    if header.num_points > most:
+        raise ValueError(f"truncated: {header.num_points} points in its header, {most} in its chunks")
+    if header.num_points < least:
+        rest = least - header.num_points
+        told = f"{path}: at least {rest} points behind the {header.num_points} of its header are not read"
+        warnings.warn(told, stacklevel=6)
 
 
 class LasHeader(NamedTuple):
