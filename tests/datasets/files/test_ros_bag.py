@@ -52,6 +52,13 @@ def test_packed_recordings(name, write, arguments, tmp_path, monkeypatch):
         Bag(tmp_path / name).first("/text")
 
 
+def test_a_library_without_a_place_for_the_bounds_is_refused(tmp_path, monkeypatch):
+    ros_2(tmp_path / "walk", CompressionMode.MESSAGE, StoragePlugin.SQLITE3)
+    monkeypatch.delattr("rosbags.rosbag2.reader.zstd")
+    with pytest.raises(ModuleNotFoundError, match="needs rosbags, which is installed, but does not load"):
+        Bag(tmp_path / "walk").first("/text")
+
+
 @pytest.mark.parametrize(
     ("pack", "make"), [(bz2.compress, bz2.BZ2Decompressor), (lz4.compress, lz4.LZ4FrameDecompressor)]
 )

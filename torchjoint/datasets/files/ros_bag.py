@@ -109,6 +109,7 @@ def _open(path: Path) -> Any:
     """Opens a reader of rosbags; it closes its files when it is garbage-collected."""
     with needed_for("reading ROS recordings", "rosbags", "torchjoint[ros]"):
         from rosbags.highlevel import AnyReader
+        from rosbags.rosbag2.reader import zstd  # noqa: F401  others have no place for our bounds
         from rosbags.typesys import Stores, get_typestore
     _check_files(path)
     bound_unpacking()
