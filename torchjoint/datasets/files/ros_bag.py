@@ -111,22 +111,23 @@ def _open(path: Path) -> Any:
         from rosbags.highlevel import AnyReader
         from rosbags.rosbag2.reader import zstd  # noqa: F401  others have no place for our bounds
         from rosbags.typesys import Stores, get_typestore
-    _check_files(path)
-    bound_unpacking()
+    bound_unpacking(_check_files(path))
     # Recordings of ROS 2 before Iron do not contain the definitions of their messages.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
     reader.open()
     return reader
 
 
-def _check_files(path: Path) -> None:
-    """Checks the files of a recording, which the library opens itself: no device, no pipe, no endless YAML."""
+def _check_files(path: Path) -> int:
+    """Checks the files of a recording, which the library opens itself: no device, no pipe, no endless YAML.
+
+    Returns:
+        the bytes of all.
+    """
     if not has_folder(path):
-        present(path, "a ROS recording")
-        return
-    for file in path.iterdir():
-        has_file(file)
+        return present(path, "a ROS recording").stat().st_size
     read_file(path / "metadata.yaml", "the description of a ROS recording", bounds.YAML_BYTES)
+    return sum(file.stat().st_size for file in path.iterdir() if has_file(file))
 
 
 @contextmanager
@@ -178,8 +179,12 @@ def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
     return b"".join(parts)
 
 
-def bound_unpacking() -> None:
-    """Makes rosbags use :func:`unpack` for chunks (ROS 1, MCAP) and messages (ROS 2)."""
+def bound_unpacking(size: int) -> None:
+    """Makes rosbags use :func:`unpack` for chunks (ROS 1, MCAP) and messages (ROS 2), and bounds its temporary files.
+
+    Args:
+        size: bytes of all files of the recording that is opened next.
+    """
     from lz4.frame import LZ4FrameDecompressor
     from rosbags.rosbag1 import reader as ros_1
     from rosbags.rosbag2 import reader as ros_2
@@ -194,5 +199,21 @@ def bound_unpacking() -> None:
     ros_1.decompressors["lz4"] = lambda packed: unpack(LZ4FrameDecompressor, packed)
     mcap.DECOMPRESSORS["lz4"] = lambda packed, _: unpack(LZ4FrameDecompressor, packed)
     mcap.DECOMPRESSORS["zstd"] = lambda packed, _: unpack(zstd.ZstdDecompressor, packed)
-    messages: Any = SimpleNamespace(open=zstd.open, decompress=lambda packed: unpack(zstd.ZstdDecompressor, packed))
+    written = 0
+
+    def opened(*packed: Any) -> Any:
+        stream = zstd.open(*packed)
+        read = stream.read
+
+        def bounded(count: int) -> bytes:
+            nonlocal written
+            data: bytes = read(count)
+            written += len(data)
+            bounds.check_unpacked(written, size)
+            return data
+
+        stream.read = bounded
+        return stream
+
+    messages: Any = SimpleNamespace(open=opened, decompress=lambda packed: unpack(zstd.ZstdDecompressor, packed))
     ros_2.zstd = messages
