@@ -127,3 +127,10 @@ def test_a_page_may_lie_in_its_result(run, result):
 def test_parts_are_all_that_a_result_has(result, tmp_path):
     assert set(parts_of(result)) == set(result.iterdir())
     assert parts_of(result / "points.ply") == [result / "points.ply"]
+
+
+def test_parameters_that_lie_in_the_output(run, result, tmp_path):
+    (tmp_path / "result" / "mine.yaml").write_text("")
+    for command in ("segment", "live"):
+        with pytest.raises(SystemExit, match=r"-o: expected a folder that does not contain the input, .*mine\.yaml"):
+            run(command, tmp_path, "-o", result, "--preset", result / "mine.yaml", "--overwrite")

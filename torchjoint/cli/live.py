@@ -71,7 +71,7 @@ def live(
     if rerun is not None:
         check_apart(out, rerun, "--rerun")
     log_file = None if rerun is None else output_file(rerun, overwrite, (scene,), "--rerun")
-    config = parameters.config()
+    config = parameters.config(out)
     view = growing_view(show)
     segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
     logged = nullcontext() if log_file is None else _logged(log_file)

@@ -15,6 +15,7 @@ import stat
 import struct
 import tokenize
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BufferedReader
@@ -156,6 +157,13 @@ def _check_links(path: Path) -> None:
             raise ValueError(f"{path}: cannot be read: {place} is a link to {os.readlink(place)}, which is not there")
         if os.path.exists(place):
             return
+
+
+def no_twice(names: Iterable[str], what: str) -> None:
+    """Checks that no name occurs twice: only one of the two would be read."""
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise ValueError(f"{what} {twice[0]!r} is there twice")
 
 
 #: Where a spreadsheet would find something to compute: at the start of a cell, also of those that it makes itself, if it

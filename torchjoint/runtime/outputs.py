@@ -301,6 +301,8 @@ class Output:
         self.path, self._before = path, seen(path)
         if self._before and not overwrite:
             raise FileExistsError(f"{path}: exists already; choose another name with {option}, or --overwrite")
+        if self._before and not (path.is_symlink() or path.is_file() or path.is_dir()):
+            raise FileExistsError(f"{option}: {path} is a device, a pipe or a socket; choose a new name")
         if is_fixed(path):
             where = "is a mount point, or in a read-only folder"
             raise FileExistsError(f"{option}: {path} {where}, and cannot be replaced; choose a new folder, also inside")

@@ -49,7 +49,9 @@ def test_packed_recordings(name, write, arguments, tmp_path, monkeypatch):
     assert Bag(tmp_path / name).first("/text").data == TEXT
     monkeypatch.setattr(bounds, "FREE", 100_000)
     monkeypatch.setattr(bounds, "RATIO", 1)
-    with pytest.raises(ValueError, match=r"walk.*: not a whole ROS recording: .*(packed bytes have more than 10\d{4}|unpacked)"):
+    with pytest.raises(
+        ValueError, match=r"walk.*: not a whole ROS recording: .*(packed bytes have more than 10\d{4}|unpacked)"
+    ):
         Bag(tmp_path / name).first("/text")
 
 
