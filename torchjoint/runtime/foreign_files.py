@@ -166,8 +166,8 @@ def no_twice(names: Iterable[str], what: str) -> None:
         raise ValueError(f"{what} {twice[0]!r} is there twice")
 
 
-#: Where a spreadsheet would find something to compute: at the start of a cell, also of those that it makes itself, if it
-#: takes semicolons or tabs for the ends of cells. A quotation mark may stand in front.
+#: Where a spreadsheet would find something to compute: at the start of a cell, also of those that it makes if it takes
+#: semicolons or tabs for the ends of cells.
 _FORMULA = re.compile(r'(^|(?<=[;\t\r\n"]))(?=[=+\-@\t\r])')
 
 

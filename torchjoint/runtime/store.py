@@ -234,7 +234,7 @@ def read_values(path: Path) -> dict[str, Any]:
 
 
 def load_values(content: bytes) -> dict[str, Any]:
-    """A dict that `torch.save` wrote; errors of many types. No code in it is run, and it is not larger than its file."""
+    """Reads a dict that `torch.save` wrote; errors of many types. No code in it is run."""
     _check_pickle(content)
     values = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
     if not isinstance(values, dict):
