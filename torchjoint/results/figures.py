@@ -93,7 +93,7 @@ def cloud_figure(scene: Scene, labels: Tensor) -> Any:
 
 
 def _without_tex(figure: Any) -> Any:
-    """Keeps LaTeX from being started: a matplotlibrc in the current folder, which may be a stranger's, can ask for it."""
+    """Keeps LaTeX from being started: a matplotlibrc in the current folder, maybe a stranger's, can ask for it."""
     for text in figure.findobj(lambda one: hasattr(one, "set_usetex")):
         text.set_usetex(False)
     return figure
