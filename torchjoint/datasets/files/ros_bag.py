@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import bz2
 import os
+import re
+import sqlite3
 import struct
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from threading import Lock
 from types import SimpleNamespace
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder, present, read_file
@@ -112,10 +115,34 @@ def _open(path: Path) -> Any:
         from rosbags.rosbag2.reader import zstd  # noqa: F401  others have no place for our bounds
         from rosbags.typesys import Stores, get_typestore
     bound_unpacking(_check_files(path))
+    check_databases()
     # Recordings of ROS 2 before Iron do not contain the definitions of their messages.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
     reader.open()
     return reader
+
+
+def check_databases() -> None:
+    """Makes rosbags look at a database before it asks it, and find it if its path has characters of a URI."""
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    open_database = Sqlite3Reader.open
+    if open_database.__module__ == __name__:
+        return
+
+    def opened(reader: Any) -> None:
+        path = reader.path
+        reader.path = Path(quote(str(path)))  # it becomes a part of a URI, where ..%2f would lead out of the folder
+        try:
+            with closing(sqlite3.connect(f"file:{reader.path}?immutable=1", uri=True)) as database:
+                for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
+                    if kind not in ("table", "index") or re.search(r"\b(as|virtual)\b", text or "", re.IGNORECASE):
+                        raise ValueError(f"expected plain tables, got a {kind} that is computed, maybe without end")
+            open_database(reader)
+        finally:
+            reader.path = path
+
+    Sqlite3Reader.open = opened
 
 
 def _check_files(path: Path) -> int:
