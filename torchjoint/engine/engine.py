@@ -168,11 +168,10 @@ def _is_cut(future: Future[Answer]) -> bool:
 @contextmanager
 def variable(name: str, value: str) -> Iterator[None]:
     """Inside the block, new processes have a variable of the environment."""
-    before = os.environ.get(name)
+    before = {key: old for key, old in os.environ.items() if key == name}
     os.environ[name] = value
     try:
         yield
     finally:
         del os.environ[name]
-        if before is not None:
-            os.environ[name] = before
+        os.environ.update(before)

@@ -132,18 +132,14 @@ def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
     with path.open("rb") as stream:
         stream.seek(header.points_at)
         *full, last = lazrs.read_chunk_table(stream, kind)
-        least = most = sum(count for count, _ in full)
-        if kind.uses_variable_size_chunks():
-            least, most = least + last[0], most + last[0]
-        elif reader.header.point_format.id < 6:
-            least, most = least + 1, most + last[0]
-        else:  # the number stands behind the first point
+        before = sum(count for count, _ in full)
+        low, high = last[0] if kind.uses_variable_size_chunks() else 1, last[0]
+        if low == 1 and reader.header.point_format.id >= 6:  # the number stands behind the first point
             stream.seek(header.points_at + 8 + sum(size for _, size in full) + header.record_size)
-            least = most = least + int.from_bytes(stream.read(4), "little")
-    if header.num_points > most:
-        raise ValueError(f"truncated: {header.num_points} points in its header, {most} in its chunks")
-    if header.num_points < least:
-        rest = least - header.num_points
+            low = high = int.from_bytes(stream.read(4), "little")
+    if header.num_points > before + high:
+        raise ValueError(f"truncated: {header.num_points} points in its header, {before + high} in its chunks")
+    if (rest := before + low - header.num_points) > 0:
         told = f"{path}: at least {rest} points behind the {header.num_points} of its header are not read"
         warnings.warn(told, stacklevel=6)
 

@@ -131,16 +131,12 @@ def check_databases() -> None:
         return
 
     def opened(reader: Any) -> None:
-        path = reader.path
-        reader.path = Path(quote(str(path)))  # it becomes a part of a URI, where ..%2f would lead out of the folder
-        try:
-            with closing(sqlite3.connect(f"file:{reader.path}?immutable=1", uri=True)) as database:
-                for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
-                    if kind not in ("table", "index") or re.search(r"\b(as|virtual)\b", text or "", re.IGNORECASE):
-                        raise ValueError(f"expected plain tables, got a {kind} that is computed, maybe without end")
-            open_database(reader)
-        finally:
-            reader.path = path
+        reader.path = Path(quote(str(reader.path)))  # a part of a URI, where ..%2f would lead out of the folder
+        with closing(sqlite3.connect(f"file:{reader.path}?immutable=1", uri=True)) as database:
+            for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
+                if kind not in ("table", "index") or re.search(r"\b(as|virtual)\b", text or "", re.IGNORECASE):
+                    raise ValueError(f"expected plain tables, got a {kind} that is computed, maybe without end")
+        open_database(reader)
 
     Sqlite3Reader.open = opened
 
@@ -228,19 +224,12 @@ def bound_unpacking(size: int) -> None:
     mcap.DECOMPRESSORS["zstd"] = lambda packed, _: unpack(zstd.ZstdDecompressor, packed)
     written = 0
 
-    def opened(*packed: Any) -> Any:
-        stream = zstd.open(*packed)
-        read = stream.read
-
-        def bounded(count: int) -> bytes:
-            nonlocal written
-            data: bytes = read(count)
-            written += len(data)
+    def copy(packed: Any, unpacked: Any) -> None:
+        nonlocal written
+        for part in iter(lambda: packed.read(STEP), b""):
+            written += unpacked.write(part)
             bounds.check_unpacked(written, size)
-            return data
 
-        stream.read = bounded
-        return stream
-
-    messages: Any = SimpleNamespace(open=opened, decompress=lambda packed: unpack(zstd.ZstdDecompressor, packed))
+    ros_2.shutil = SimpleNamespace(copyfileobj=copy)  # for files that are packed as a whole
+    messages: Any = SimpleNamespace(open=zstd.open, decompress=lambda packed: unpack(zstd.ZstdDecompressor, packed))
     ros_2.zstd = messages
