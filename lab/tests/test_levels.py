@@ -114,7 +114,7 @@ class TestCommands:
         )
         result = read_result(out)
         run("show", out, "--static", tmp_path / "page.html")
-        run("show", out, "--static", tmp_path / "page.html", "--granularity", 0.2)
+        run("show", out, "--static", tmp_path / "page.html", "--granularity", 0.2, "--overwrite")
         assert [level for _, level in shown] == [None, 0.2]
         assert all(torch.equal(points, result.points) for points, _ in shown)
         with pytest.raises(SystemExit, match="--granularity: expected a number from 0"):

@@ -112,7 +112,7 @@ def test_a_compressed_pth_is_refused(tmp_path):
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for entry, content in entries.items():
             archive.writestr(entry, content)
-    with pytest.raises(ValueError, match="got compressed ones"), masks_of(tmp_path / "masks", "scan", FRAMES):
+    with pytest.raises(ValueError, match="torch packs nothing"), masks_of(tmp_path / "masks", "scan", FRAMES):
         pass
 
 
@@ -134,6 +134,16 @@ def test_no_code_of_a_pth_runs(tmp_path):
     with pytest.raises(ValueError, match="not masks of Open3DIS"), masks_of(tmp_path / "masks", "scan", FRAMES):
         pass
     assert not (tmp_path / "ran").exists()
+
+
+def test_a_pth_makes_tensors_and_texts_only(tmp_path):
+    """torch itself would make a gigabyte of the few bytes of this bytearray."""
+    open3dis(tmp_path / "masks", conf=bytearray(4))
+    with (
+        pytest.raises(ValueError, match="expected tensors, numbers and texts"),
+        masks_of(tmp_path / "masks", "scan", FRAMES),
+    ):
+        pass
 
 
 def test_no_masks_and_two_sets_are_errors(tmp_path):

@@ -49,11 +49,14 @@ def contents(folder):
         ("label", "result", "clouds/cloud.ply", "-o", "clouds", "--overwrite"),
         ("export", "result", "--format", "npz", "-o", "result/points.npz", "--overwrite"),
         ("export", "result", "--format", "ply", "-o", "result", "--overwrite"),
-        ("show", "cloud.ply", "--static", "cloud.ply"),
-        ("show", "result", "--static", "result/run.yaml"),
+        ("show", "cloud.ply", "--static", "cloud.ply", "--overwrite"),
+        ("show", "result", "--static", "result/run.yaml", "--overwrite"),
         ("live", "result", "-o", "out", "--rerun", "result/run.yaml", "--overwrite"),
         ("export", "result", "--format", "coco", "-o", "result/segments.json", "--overwrite"),
         ("edits", "import", "result", "result/segments.json"),
+        ("live", "result", "-o", "out", "--rerun", "out"),
+        ("live", "result", "-o", "result/new", "--rerun", "result/new/../new"),
+        ("live", "result", "-o", "clouds/../clouds", "--rerun", "clouds/a.rrd", "--overwrite"),
     ],
 )
 def test_an_output_is_no_input(run, result, cloud, tmp_path, monkeypatch, arguments, link):
@@ -66,7 +69,8 @@ def test_an_output_is_no_input(run, result, cloud, tmp_path, monkeypatch, argume
         given = [f"link/{one}" if (tmp_path / one).exists() and index > 2 else one for index, one in enumerate(given)]
     before = contents(tmp_path)
     with pytest.raises(
-        SystemExit, match=r"(-o|--static|--rerun|FILE): expected (another path than the input's|a folder that)"
+        SystemExit,
+        match=r"(-o|--static|--rerun|FILE): expected (another path than the input's|a folder that|a path outside)",
     ):
         run(*given)
     assert contents(tmp_path) == before
@@ -99,7 +103,7 @@ def test_what_comes_meanwhile_stays(run, result, cloud, tmp_path, monkeypatch, a
         put(new, place, before, aside)
 
     monkeypatch.setattr(outputs, "put", late)
-    more = ([] if out == "other.png" else [out]) + ["--overwrite"] * (overwrite and arguments[0] != "show")
+    more = ([] if out == "other.png" else [out]) + ["--overwrite"] * overwrite
     with pytest.raises(SystemExit, match="was made or changed while this run worked, and is kept; move it"):
         run(*arguments, *more)
     assert mine.read_text() == "by hand"
@@ -112,8 +116,10 @@ def test_boxes_name_the_cloud_beside_them(run, result, tmp_path):
 
 
 def test_a_page_may_lie_in_its_result(run, result):
-    for _ in range(2):
+    run("show", result, "--static", result / "page.html")
+    with pytest.raises(SystemExit, match=r"page\.html: exists already; choose another name with --static, or --overw"):
         run("show", result, "--static", result / "page.html")
+    run("show", result, "--static", result / "page.html", "--overwrite")
     assert (result / "page.html").stat().st_size > 1000
     tj.load_result(result)
 
@@ -121,3 +127,10 @@ def test_a_page_may_lie_in_its_result(run, result):
 def test_parts_are_all_that_a_result_has(result, tmp_path):
     assert set(parts_of(result)) == set(result.iterdir())
     assert parts_of(result / "points.ply") == [result / "points.ply"]
+
+
+def test_parameters_that_lie_in_the_output(run, result, tmp_path):
+    (tmp_path / "result" / "mine.yaml").write_text("")
+    for command in ("segment", "live"):
+        with pytest.raises(SystemExit, match=r"-o: expected a folder that does not contain the input, .*mine\.yaml"):
+            run(command, tmp_path, "-o", result, "--preset", result / "mine.yaml", "--overwrite")

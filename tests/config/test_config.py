@@ -107,6 +107,7 @@ def test_yaml_errors_name_the_file(tmp_path):
         ("a: 2026-99-99", r"mine\.yaml: not valid YAML"),
         ("a: !!timestamp x", r"mine\.yaml: not valid YAML"),
         ("a: !!bool x", r"mine\.yaml: not valid YAML"),
+        ("paper: {weight: 1, weight: 2}", r"mine\.yaml: not valid YAML: the name 'weight' is there twice"),
     ):
         file.write_text(text)
         with pytest.raises(ValueError, match=message):

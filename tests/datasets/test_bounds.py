@@ -176,6 +176,25 @@ class TestPackedPoints:
         with pytest.raises(ValueError, match=r"expected at most 5 points in \d+ bytes, got"):
             tj.load_scene(path)
 
+    @pytest.mark.parametrize(
+        "xml",
+        [
+            b'<!DOCTYPE e57Root SYSTEM "http://a/b">',  # the library asks the network
+            b'<!ENTITY a SYSTEM "/dev/zero">        ',
+            b'<?xml version="1" encoding="IBM1047"?>',
+            "<?xml".encode("utf-16"),
+        ],
+    )
+    def test_xml_of_e57(self, xml, tmp_path, monkeypatch):
+        path = samples.write("cloud_alone_e57", tmp_path / "sample")
+        content = path.read_bytes()
+        at = content.index(b"<?xml")
+        assert at % 1024 < 900
+        path.write_bytes(content[:at] + xml + content[at + len(xml) :])
+        monkeypatch.delattr("pye57.E57")
+        with pytest.raises(ValueError, match=r"cloud\.e57: not a whole E57 file: expected XML in UTF-8 without a doc"):
+            tj.load_scene(path)
+
     def test_e57(self, tmp_path, monkeypatch):
         path = samples.write("cloud_alone_e57", tmp_path / "sample")
         monkeypatch.setattr(bounds, "POINTS_PER_BYTE", 0)

@@ -1,9 +1,11 @@
 """Images without a pose are left out, and every format tells so in the same words."""
 
+import contextlib
 import dataclasses
 import shutil
 import struct
 
+import laspy
 import numpy as np
 import pytest
 import samples
@@ -75,6 +77,36 @@ def test_las_behind_the_last_point(tmp_path):
     file.write_bytes(content)
     with pytest.warns(UserWarning, match=r"site\.las: \d+ bytes behind the 600 points of its header are not read"):
         assert len(tj.load_scene(file).points) == 600
+
+
+@pytest.mark.parametrize(("count", "size", "told"), [(49_000, 70_000, "21000"), (49_000, 49_500, "500")])
+def test_laz_behind_the_last_point(tmp_path, count, size, told):
+    file = write_las(tmp_path / "site.laz", town(size, 30))
+    content = bytearray(file.read_bytes())
+    struct.pack_into("<Q", content, 247, count)
+    file.write_bytes(content)
+    with pytest.warns(
+        UserWarning, match=rf"site\.laz: at least {told} points behind the {count} of its header are not read"
+    ):
+        assert len(tj.load_scene(file).points) == count
+    struct.pack_into("<Q", content, 247, size + 1)
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match=rf"site\.laz: .*truncated: {size + 1} points in its header, {size} in its"):
+        tj.load_scene(file)
+
+
+@pytest.mark.parametrize("count", [49_000, 120_000])
+def test_laz_of_an_early_format(tmp_path, count):
+    """The last chunk, of up to 50,000 points, does not tell its number."""
+    las = laspy.LasData(laspy.LasHeader(point_format=2, version="1.2"))
+    las.xyz = town(120_000, 30)
+    las.write(tmp_path / "site.laz")
+    content = bytearray((tmp_path / "site.laz").read_bytes())
+    struct.pack_into("<I", content, 107, count)
+    (tmp_path / "site.laz").write_bytes(content)
+    told = r"at least 51001 points behind the 49000 of its header" if count < 120_000 else None
+    with pytest.warns(UserWarning, match=told) if told else contextlib.nullcontext():
+        assert len(tj.load_scene(tmp_path / "site.laz").points) == count
 
 
 def test_the_largest_of_several_models(tmp_path):

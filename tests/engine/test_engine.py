@@ -214,3 +214,19 @@ def test_dask_without_a_scheduler(monkeypatch):
     message = "engine dask://127.0.0.1:1: no scheduler answers at tcp://127.0.0.1:1"
     with pytest.raises(ConnectionError, match=message), open_engine("dask://127.0.0.1:1"):
         pass
+
+
+@pytest.mark.parametrize(
+    "name", ["loky:1", *(pytest.param(name, marks=(pytest.mark.slow, QUIET)) for name in ("dask:1", "ray:1"))]
+)
+def test_no_module_of_the_current_folder_is_imported(name, tmp_path, monkeypatch):
+    """A recording may be the current folder, and a stranger's."""
+    for module in ("joblib", "multiprocessing", "random", "torch", "distributed", "ray"):
+        (tmp_path / f"{module}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONSAFEPATH", "")
+    with open_engine(name) as engine:
+        (outcome,) = engine.run(divmod, [5], shared=7)
+    assert outcome.value == (1, 2)
+    assert not (tmp_path / "ran").exists()
+    assert os.environ["PYTHONSAFEPATH"] == ""

@@ -283,3 +283,5 @@ class TestOrigin:
 
 def test_cells_are_no_formulas():
     assert csv_text([("=1+1", "@x", "-5", 7)]) == "'=1+1,'@x,'-5,7\n"
+    others = csv_text([("a", "b;=1", "c\t@x", 'd;"=1', "e\n+1", "semi-detached; -1 = 0")])
+    assert others == """a,b;'=1,c\t'@x,"d;""'=1","e\n'+1",semi-detached; -1 = 0\n"""

@@ -1,5 +1,6 @@
 """One recording over many workers: the same labels as in one process."""
 
+import contextlib
 from dataclasses import replace
 
 import pytest
@@ -85,3 +86,27 @@ def test_a_fused_cloud_is_of_its_format(scene_of, tmp_path, monkeypatch):
         (tmp_path / "out.partial" / "state").mkdir(exist_ok=True)
         (tmp_path / "out.partial" / "state" / "cloud.sha256").write_text(file_checksum(cloud))
     assert given == [(None, False), (None, True), ("tum", False)]
+
+
+@pytest.mark.parametrize("late", [None, "image", "masks", "gone"])
+def test_a_recording_that_changes_meanwhile(scene_of, tmp_path, monkeypatch, late):
+    """As one that is still being copied."""
+    recording, masks = tmp_path / "a.ply", tmp_path / "masks"
+    write_cloud(recording, scene_of(1).scene.points)
+    masks.mkdir()
+
+    def load(*_, **__):
+        if late == "gone":
+            recording.unlink()
+        elif late is not None:
+            (masks / "b.png" if late == "masks" else recording).write_bytes(b"new")
+        return scene_of(1).scene
+
+    monkeypatch.setattr("torchjoint.recordings.segment.load_scene", load)
+    monkeypatch.setattr("torchjoint.recordings.segment.read_folder", lambda _, scene, __: scene)
+    told = (
+        contextlib.nullcontext() if late is None else pytest.warns(UserWarning, match=r"a\.ply: changed while it was")
+    )
+    with told:
+        segment_recording(recording, tmp_path / "out", QUICK, tj.RecordingOptions(), masks=masks)
+    tj.load_result(tmp_path / "out")

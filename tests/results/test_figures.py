@@ -1,5 +1,6 @@
 """Pictures of clouds."""
 
+import matplotlib
 import pytest
 import torch
 
@@ -20,3 +21,15 @@ def test_any_cloud_is_drawn(dtype, with_colors):
     for figure in (cloud_figure(scene, labels), overview(scene, Segmentation(labels, ()))):
         figure.canvas.draw()
         assert len(figure.get_axes() or figure.subfigs) > 0
+
+
+def test_no_program_draws_text(scene_of, tmp_path, monkeypatch):
+    """A file matplotlibrc in the current folder, such as a stranger's recording, can ask for LaTeX."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    scene = scene_of(1).scene
+    labels = torch.zeros(len(scene.points), dtype=torch.int64)
+    images = [torch.zeros(scene.frames[0].image.shape[1:], dtype=torch.int64)]
+    with matplotlib.rc_context({"text.usetex": True}):
+        for result in (Segmentation(labels, ()), Segmentation(labels, images, initial_images=images, names=("a",))):
+            overview(scene, result).savefig(tmp_path / "a.png")
+        cloud_figure(scene, labels).savefig(tmp_path / "a.png")

@@ -23,6 +23,7 @@ CONFIG = tj.Config().set(["point_segments.method=learned", "boundary.detector=gr
 NAMES = (
     "../../../victim/PWN", "{root}/victim/PWN", "a/b", "..", ".", "nul\0.", "half \ud800", "n" * 300, "ü" * 200,
     "$\\frac$", "plain name", ".hidden",
+    "a\x1b[2Jb\tc\u202e",
 )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """Archives of arrays: no more memory than the file is worth."""
 
+import io
 import tracemalloc
 import zipfile
 
@@ -63,4 +64,16 @@ def test_a_directory_that_hides_an_array(tmp_path, at):
     content[content.index(b"PK\x01\x02") + at] ^= 64
     (tmp_path / "a.npz").write_bytes(content)
     with pytest.raises(ValueError, match=r"a\.npz: not a whole archive of arrays"):
+        read_archive(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("names", [("points.npy", "points.npy"), ("points", "points.npy")])
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_two_arrays_of_one_name(tmp_path, names):
+    content = io.BytesIO()
+    np.save(content, np.zeros((4, 3)))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        for name in names:
+            archive.writestr(name, content.getvalue())
+    with pytest.raises(ValueError, match=r"a\.npz: .* array 'points' is there twice"):
         read_archive(tmp_path / "a.npz")

@@ -2,6 +2,7 @@
 
 import errno
 import os
+from pathlib import Path
 
 import pytest
 
@@ -179,3 +180,10 @@ def test_a_mount_point_is_not_replaced(out, monkeypatch):
     with pytest.raises(FileExistsError, match=r"-o: .*out is a mount point, .*cannot be replaced; choose a new folder"):
         Output(out, overwrite=True)
     assert text_of(out) == "mine"
+
+
+def test_pipes_and_devices_are_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for place in (tmp_path / "pipe", Path(os.devnull)):
+        with pytest.raises(FileExistsError, match="is a device, a pipe or a socket; choose a new name"):
+            Output(place, overwrite=True)

@@ -95,6 +95,9 @@ def test_a_folder_of_files_is_one_cloud(tmp_path):
     write_las(tmp_path / "all.las", points)
     for name, out in (("parts", "out"), ("all.las", "out.las")):
         superpoints_of_files(tmp_path / name, tmp_path / out, tile=5, buffer=1, engine="loky:1")
+    (tmp_path / "parts" / "c.laz").symlink_to(tmp_path / "lost")
+    with pytest.raises(ValueError, match=r"c\.laz: cannot be read: .* is a link to"):
+        superpoints_of_files(tmp_path / "parts", tmp_path / "other")
     parts = [labels_of(tmp_path / "out" / name) for name in ("a.laz", "b.las")]
     assert torch.equal(torch.cat(parts), labels_of(tmp_path / "out.las"))
 
@@ -125,6 +128,21 @@ def test_what_comes_meanwhile_stays(cloud, tmp_path, monkeypatch, kind, overwrit
     made = superpoints_of_files(given, out, engine="loky:1", overwrite=True)  # goes on
     assert made.num_points == 8_000
     assert not (tmp_path / f"{out.name}.tiles").exists()
+
+
+def test_a_cloud_that_changes_meanwhile(cloud, tmp_path, monkeypatch):
+    """Labels are in the order of the points: with those of the file before they would be wrong in silence."""
+    mine = shutil.copy(cloud, tmp_path / "mine.laz")
+    write = tiles._write
+
+    def late(*arguments):
+        write_las(mine, town(8_000, 12, seed=1))
+        write(*arguments)
+
+    monkeypatch.setattr(tiles, "_write", late)
+    with pytest.raises(ValueError, match=r"mine\.laz: changed while it was segmented; start again"):
+        superpoints_of_files(mine, tmp_path / "out.laz", engine="loky:1")
+    assert not (tmp_path / "out.laz").exists()
 
 
 def test_an_earlier_result_comes_back_after_a_kill(cloud, tmp_path, monkeypatch):

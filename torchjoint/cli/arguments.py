@@ -16,7 +16,7 @@ from torchjoint.config import Config, marked_table, parameter_table, presets, su
 from torchjoint.datasets.files.clouds import SUFFIXES
 from torchjoint.datasets.formats import FORMATS
 from torchjoint.recordings.options import RecordingOptions
-from torchjoint.runtime.outputs import Output
+from torchjoint.runtime.outputs import Output, check_no_input
 
 
 def parameters(
@@ -55,9 +55,11 @@ class Parameters:
     set: tuple[str, ...] = ()
     """Single parameters: --set image_segments.scale=5 visibility.depth_tolerance=0.02"""
 
-    def config(self) -> Config:
-        """Returns the preset with the single parameters applied."""
+    def config(self, out: Path | None = None) -> Config:
+        """Returns the preset with the single parameters applied; its file must not be in `out`, which is replaced."""
         is_file = self.preset.endswith((".yaml", ".yml"))
+        if out is not None and is_file:
+            check_no_input(out, (Path(self.preset),))
         config = Config.from_yaml(self.preset) if is_file else Config.from_preset(self.preset)
         return config.set(self.set)
 

@@ -34,7 +34,7 @@ def demo(
         segmented = segment_recording(
             RECORDING,
             out,
-            parameters.config(),
+            parameters.config(out),
             RecordingOptions(),
             overwrite=overwrite,
             progress=sys.stderr.isatty(),

@@ -18,7 +18,7 @@ from torchjoint.recordings.playing import Played, computed_beside, play
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
 from torchjoint.runtime.messages import say
-from torchjoint.runtime.outputs import Output
+from torchjoint.runtime.outputs import Output, check_apart
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.scene import subset
 
@@ -68,8 +68,10 @@ def live(
         overwrite: replace OUT if it is an earlier result, and the file of --rerun.
     """
     _check(rate, every)
+    if rerun is not None:
+        check_apart(out, rerun, "--rerun")
     log_file = None if rerun is None else output_file(rerun, overwrite, (scene,), "--rerun")
-    config = parameters.config()
+    config = parameters.config(out)
     view = growing_view(show)
     segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
     logged = nullcontext() if log_file is None else _logged(log_file)

@@ -57,7 +57,7 @@ def segment(
         segmented = segment_recording(
             scene,
             out,
-            parameters.config(),
+            parameters.config(out),
             reading.options(),
             masks=masks,
             without_masks=without_masks,

@@ -47,6 +47,7 @@ def show(
     port: int = 8080,
     open_browser: bool = True,
     text_encoder: str | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Shows a result in the browser: cloud, images, a table of segments, levels, and corrections by hand.
 
@@ -64,6 +65,7 @@ def show(
         open_browser: the page is opened, unless this is given.
         text_encoder: package.module:function of yours that makes a vector of words, by the network that made the
             embeddings of OUT; the page then finds things by words.
+        overwrite: replace the file of --static.
     """
     if up is not None and not any(up):
         raise ValueError("--up: expected a direction, got 0 0 0")
@@ -71,7 +73,7 @@ def show(
     if not is_there(out):
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
     is_folder = not has_file(out)
-    page = None if static is None else output_file(static, True, parts_of(out), "--static")
+    page = None if static is None else output_file(static, overwrite, parts_of(out), "--static")
     result = _read(out, truth)
     if granularity is not None:
         check_granularity(granularity, "--granularity")

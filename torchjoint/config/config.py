@@ -26,19 +26,22 @@ from torchjoint.config.stages import (
     VisibilityConfig,
 )
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import damage_is, read_text
+from torchjoint.runtime.foreign_files import damage_is, no_twice, read_text
 
 T = TypeVar("T")
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses aliases (``*name``), because with them a short text can become a value of gigabytes."""
+    """Refuses aliases (``*name``), with which a short text can become a value of gigabytes, and keys that are twice."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             mark = self.peek_event().start_mark
             raise yaml.composer.ComposerError(None, None, "expected a value, got an alias (*name)", mark)
-        return super().compose_node(parent, index)
+        node = super().compose_node(parent, index)
+        if isinstance(node, yaml.MappingNode):
+            no_twice((str(key.value) for key, _ in node.value), "the name")
+        return node
 
 
 def presets(*folder: str) -> dict[str, Any]:

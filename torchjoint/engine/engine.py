@@ -8,9 +8,11 @@ more; if its worker dies again, the task is reported as failed.
 from __future__ import annotations
 
 import abc
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, Self, TypeVar
 
@@ -161,3 +163,15 @@ class Engine(abc.ABC):
 
 def _is_cut(future: Future[Answer]) -> bool:
     return future.cancelled() or isinstance(future.exception(), CancelledError | ConnectionError)
+
+
+@contextmanager
+def variable(name: str, value: str) -> Iterator[None]:
+    """Inside the block, new processes have a variable of the environment."""
+    before = {key: old for key, old in os.environ.items() if key == name}
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        del os.environ[name]
+        os.environ.update(before)

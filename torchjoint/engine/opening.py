@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import joblib
 
-from torchjoint.engine.engine import Engine
+from torchjoint.engine.engine import Engine, variable
 
 logger = logging.getLogger(__name__)
 
@@ -29,7 +29,8 @@ def open_engine(engine: str | Engine = "loky", threads: int = 1) -> Iterator[Eng
     if isinstance(engine, Engine):
         yield engine
         return
-    with _started(engine, threads) as started:
+    # Python would look for modules in the current folder first, which may be a stranger's recording.
+    with variable("PYTHONSAFEPATH", "1"), _started(engine, threads) as started:
         yield started
 
 

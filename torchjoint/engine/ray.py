@@ -6,19 +6,19 @@ import logging
 import os
 import sys
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import contextmanager
 from typing import Any
 from unittest.mock import patch
 
-from torchjoint.engine.engine import Engine
+from torchjoint.engine.engine import Engine, variable
 from torchjoint.engine.worker import Answer, Shared
 
 try:
     import ray
     from ray._private import ray_constants
     from ray.exceptions import NodeDiedError, OutOfMemoryError, WorkerCrashedError
+    from ray.job_config import JobConfig
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError("engine ray needs ray: pip install 'torchjoint[ray]'") from error
 
@@ -55,8 +55,15 @@ class RayEngine(Engine):
             ray.init(f"ray://{address}", **quiet)
         else:
             assert workers is not None
-            # Ray listens on all interfaces, except where it thinks that there are no clusters (Windows, macOS).
-            with _paths_for_workers(), patch.object(ray_constants, "ENABLE_RAY_CLUSTER", False):
+            # Ray's workers import tasks by name, and find the modules that this process finds.
+            paths = os.pathsep.join(os.path.abspath(path) for path in sys.path)
+            with (
+                variable("PYTHONPATH", paths),
+                # Ray listens on all interfaces, except where it thinks that there are no clusters (Windows, macOS).
+                patch.object(ray_constants, "ENABLE_RAY_CLUSTER", False),
+                # Ray would put the current folder in front of the paths, except where it thinks that it sends it.
+                patch.object(JobConfig, "_runtime_env_has_working_dir", return_value=True),
+            ):
                 ray.init("local", num_cpus=workers * threads, include_dashboard=False, **quiet)
         # Ray must not repeat tasks, because Engine.run does.
         self._options = {"num_cpus": threads, "max_retries": 0}
@@ -81,17 +88,3 @@ class RayEngine(Engine):
     def close(self) -> None:
         """Ends the workers if this engine started them; otherwise disconnects from the cluster."""
         ray.shutdown()
-
-
-@contextmanager
-def _paths_for_workers() -> Iterator[None]:
-    """Inside the block, new processes find the modules that this process finds: ray's workers import tasks by name."""
-    before = os.environ.get("PYTHONPATH")
-    os.environ["PYTHONPATH"] = os.pathsep.join(os.path.abspath(path) for path in sys.path)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["PYTHONPATH"]
-        else:
-            os.environ["PYTHONPATH"] = before

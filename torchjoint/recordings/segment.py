@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -145,10 +145,10 @@ def segment_recording(
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")
-    files = fingerprint(path, own_files(out))
+    files, of_masks = _fingerprints(path, masks, out)
     source = f"{files} {options.source()}"
     if masks is not None:
-        source += f" {fingerprint(masks)} {without_masks}"
+        source += f" {of_masks} {without_masks}"
     key = run_key(f"{source} {options.key()}", config)
     level = options.granularity
     with output_folder(out, source, key=f"{key} {level}", overwrite=overwrite) as partial:
@@ -176,8 +176,18 @@ def segment_recording(
         if level is not None:
             result = result.at(level)
         level = 0.5 if level is None else level
+        is_same = False
+        with suppress(FileNotFoundError):
+            is_same = _fingerprints(path, masks, out) == (files, of_masks)
+        if not is_same:
+            warnings.warn(f"{path}: changed while it was segmented; the result may be of both states", stacklevel=2)
         write_result(partial, scene, result, config, str(path), level, fingerprint=files, seconds=clock.seconds)
     return Segmented(result, segmenter, scene)
+
+
+def _fingerprints(path: Path, masks: Path | None, out: Path) -> tuple[str, str]:
+    """Of a recording and its masks."""
+    return fingerprint(path, own_files(out)), "" if masks is None else fingerprint(masks)
 
 
 def run(

@@ -69,12 +69,12 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
     figure = Figure(figsize=(width, frames_height + 0.38 * width), layout="constrained")
     if not count:
         _draw_cloud(figure, scene, result)
-        return figure
+        return _without_tex(figure)
     parts: Any = figure.subfigures(2, 1, height_ratios=[frames_height, 0.38 * width])
     top, bottom = parts
     _draw_frames(top, scene, result, chosen)
     _draw_cloud(bottom, scene, result)
-    return figure
+    return _without_tex(figure)
 
 
 @on_cpu()
@@ -89,6 +89,13 @@ def cloud_figure(scene: Scene, labels: Tensor) -> Any:
 
     figure = Figure(figsize=(12, 4.9), layout="constrained")
     _draw_cloud(figure, scene, Segmentation(labels, ()))
+    return _without_tex(figure)
+
+
+def _without_tex(figure: Any) -> Any:
+    """Keeps LaTeX from being started: a matplotlibrc in the current folder, maybe a stranger's, can ask for it."""
+    for text in figure.findobj(lambda one: hasattr(one, "set_usetex")):
+        text.set_usetex(False)
     return figure
 
 

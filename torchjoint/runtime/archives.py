@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import damage_is, open_file, present
+from torchjoint.runtime.foreign_files import damage_is, no_twice, open_file, present
 
 
 def read_archive(path: Path, names: Collection[str] | None = None) -> dict[str, npt.NDArray[Any]]:
@@ -34,6 +34,7 @@ def read_archive(path: Path, names: Collection[str] | None = None) -> dict[str, 
         entries = archive.infolist()
         _check_number(archive, len(entries))
         bounds.check_unpacked(sum(entry.file_size for entry in entries), path.stat().st_size)
+        no_twice((entry.filename.removesuffix(".npy") for entry in entries), "array")
         named = {entry.filename.removesuffix(".npy"): entry for entry in entries}
         return {name: _read_array(archive, named[name]) for name in named if names is None or name in names}
 

@@ -14,6 +14,8 @@ from torchjoint.runtime.foreign_files import open_file, read_file
 
 #: Most bytes of a name: file systems allow 255, and a suffix may follow.
 LONGEST = 240
+#: Slashes, and what controls a terminal that lists the files, or turns the direction of writing.
+_NOT_IN_NAMES = re.compile(r"[/\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 #: How the names of temporary files begin; a random part follows, so that two writers of a file do not meet.
 PARTIAL = ".partial-"
 #: Environment variable with the cache's folder; empty: no cache. Default: torchjoint/ in the user's XDG_CACHE_HOME.
@@ -40,7 +42,7 @@ def file_name(name: str, *, is_free: bool = True) -> str:
     """
     raw = name.encode("utf-8", "surrogatepass")
     is_text = raw == name.encode("utf-8", "ignore")
-    if is_free and is_text and raw.strip(b".") and len(raw) <= LONGEST and not {"/", "\0"} & set(name):
+    if is_free and is_text and raw.strip(b".") and len(raw) <= LONGEST and not _NOT_IN_NAMES.search(name):
         return name
     return f"{re.sub(r'[^A-Za-z0-9-]+', '_', name)[:100]}-{hashlib.sha256(raw).hexdigest()[:12]}"
 

@@ -10,10 +10,12 @@ import csv
 import io
 import json
 import os
+import re
 import stat
 import struct
 import tokenize
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BufferedReader
@@ -157,16 +159,24 @@ def _check_links(path: Path) -> None:
             return
 
 
-#: What a cell begins with that a spreadsheet would compute.
-_FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+def no_twice(names: Iterable[str], what: str) -> None:
+    """Checks that no name occurs twice: only one of the two would be read."""
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise ValueError(f"{what} {twice[0]!r} is there twice")
+
+
+#: Where a spreadsheet would find something to compute: at the start of a cell, also of those that it makes if it takes
+#: semicolons or tabs for the ends of cells.
+_FORMULA = re.compile(r'(^|(?<=[;\t\r\n"]))(?=[=+\-@\t\r])')
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Rows as text. A text that a spreadsheet would compute gets an apostrophe in front: names come from others."""
+    """Rows as text. A text that a spreadsheet would compute gets apostrophes: names come from others."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([_safe(cell) for cell in row] for row in rows)
     return text.getvalue()
 
 
 def _safe(cell: object) -> object:
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(_FORMULAS) else cell
+    return _FORMULA.sub("'", cell) if isinstance(cell, str) else cell

@@ -261,6 +261,13 @@ def check_no_input(out: Path, inputs: Iterable[Path | None], option: str = "-o")
             raise ValueError(f"{option}: expected a folder that does not contain the input, {given}, got {out}")
 
 
+def check_apart(out: Path, other: Path, option: str) -> None:
+    """Checks that of two outputs of one command none is the other, or in it; `option`: of the other."""
+    one, two = Path(os.path.realpath(out)), Path(os.path.realpath(other))
+    if one == two or one in two.parents or two in one.parents:
+        raise ValueError(f"{option}: expected a path outside of the output, {out}, got {other}")
+
+
 def is_fixed(out: Path) -> bool:
     """Whether a folder exists and cannot be renamed: a mount point, or in a read-only folder."""
     return out.is_dir() and (_is_mount_point(out) or not os.access(out.parent, os.W_OK | os.X_OK))
@@ -294,6 +301,8 @@ class Output:
         self.path, self._before = path, seen(path)
         if self._before and not overwrite:
             raise FileExistsError(f"{path}: exists already; choose another name with {option}, or --overwrite")
+        if self._before and not (path.is_symlink() or path.is_file() or path.is_dir()):
+            raise FileExistsError(f"{option}: {path} is a device, a pipe or a socket; choose a new name")
         if is_fixed(path):
             where = "is a mount point, or in a read-only folder"
             raise FileExistsError(f"{option}: {path} {where}, and cannot be replaced; choose a new folder, also inside")

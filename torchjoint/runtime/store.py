@@ -230,11 +230,16 @@ def read_values(path: Path) -> dict[str, Any]:
     """Reads what :func:`write_values` wrote. No code in it is run, and it is not larger than its file."""
     content = read_checked(path)
     with damage_is(f"{path}: not a saved state", Exception):  # torch raises errors of many types
-        _check_pickle(content)
-        values = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-        if not isinstance(values, dict):
-            raise TypeError(f"expected a dict, got {type(values).__name__}")
-        _check_size(values, len(content))
+        return load_values(content)
+
+
+def load_values(content: bytes) -> dict[str, Any]:
+    """Reads a dict that `torch.save` wrote; errors of many types. No code in it is run."""
+    _check_pickle(content)
+    values = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    if not isinstance(values, dict):
+        raise TypeError(f"expected a dict, got {type(values).__name__}")
+    _check_size(values, len(content))
     return values
 
 

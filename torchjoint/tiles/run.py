@@ -26,6 +26,7 @@ from torchjoint.engine import Engine, open_engine
 from torchjoint.results.labelled_file import check_dimension, write_labelled
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.outputs import SOURCE, Seen, check_no_input, lock, put, read_sealed, seen, settle, work_folder
 from torchjoint.tiles.plan import NARROWEST, plan_tiles, survey
 from torchjoint.tiles.stitching import stitch
@@ -121,6 +122,8 @@ def superpoints_of_files(
         _segment(cut, work, config, engine, progress)
         num_superpoints, labels = _stitch(cut, work)
         _write(cloud, files, out, work, labels, progress)
+        if [fingerprint(file) for file in files] != stats:
+            raise ValueError(f"{cloud}: changed while it was segmented; start again")
         held.check()
         _place(cloud, out, work, before)
         shutil.rmtree(work)
@@ -133,7 +136,7 @@ def is_las(path: Path) -> bool:
 
 
 def _in_folder(path: Path) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and has_file(file))
 
 
 def _files(cloud: Path) -> list[Path]:

@@ -14,17 +14,15 @@ from __future__ import annotations
 
 import pickle
 import re
-import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import torch
-
 from torchjoint.datasets.files.readers import read_label_image
 from torchjoint.masks import from_labels, from_sam, read_masks, save_masks
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, read_file
+from torchjoint.runtime.store import load_values
 from torchjoint.scene.masks import Masks
 
 PLACES = ("output/mask", "mask", "")
@@ -88,10 +86,7 @@ def _sam3d(path: Path) -> Masks:
 
 def _open3dis(path: Path) -> Iterator[tuple[str, Masks]]:
     with damage_is(f"{path}: not masks of Open3DIS", OSError, MemoryError, pickle.UnpicklingError):
-        with zipfile.ZipFile(path) as archive:
-            if any(entry.compress_type for entry in archive.infolist()):
-                raise ValueError("expected entries as torch.save writes them, got compressed ones")
-        for key, frame in torch.load(path, map_location="cpu", weights_only=True).items():
+        for key, frame in load_values(read_file(path, "masks of Open3DIS, .pth")).items():
             name, masks, conf = Path(key).name, frame["masks"], frame["conf"]
             if not re.fullmatch(r"\w[\w.-]{0,99}", name):
                 raise ValueError(f"expected names of frames, got {key[:40]!r}")

@@ -158,6 +158,8 @@ def test_strips_of_a_ply(tmp_path, encoding):
         (lambda tree: tree["accessors"][0].update(sparse={"count": 1}), "sparse accessors"),
         (lambda tree: tree["accessors"][0].update(normalized=True), "normalized positions"),
         (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=6), "fans of triangles"),
+        (lambda tree: tree["nodes"][0].update(skin=0), "skins"),
+        (lambda tree: tree["meshes"][0].update(weights=[0, 0.5]), "weights of morph targets"),
     ],
 )
 def test_kinds_that_are_not_read(change, told, tmp_path):

@@ -139,6 +139,7 @@ class TestErrors:
     @pytest.mark.parametrize(
         ("old", "new", "message"),
         [
+            ("HEIGHT 1\n", "HEIGHT 1\nHEIGHT 2\n", "line 'HEIGHT' is there twice"),
             ("VERSION 0.7\nFIELDS x y z\n", "", "not a PCD file"),
             ("DATA ", "DATA xml", "expected DATA ascii, binary or binary_compressed, got 'xmlascii'"),
             ("WIDTH 2", "WIDTH 3", "expected POINTS = WIDTH x HEIGHT > 0"),

@@ -1,6 +1,8 @@
 """Packed ROS recordings: what they hold is read, and what becomes too much is an error before it fills the memory."""
 
 import bz2
+import sqlite3
+from contextlib import closing
 
 import pytest
 from lz4 import frame as lz4
@@ -41,6 +43,7 @@ def ros_2(path, mode, storage):
         ("walk.bag", ros_1, (rosbag1.Writer.CompressionFormat.LZ4,)),
         ("walk", ros_2, (CompressionMode.STORAGE, StoragePlugin.MCAP)),
         ("walk", ros_2, (CompressionMode.MESSAGE, StoragePlugin.SQLITE3)),
+        ("walk", ros_2, (CompressionMode.FILE, StoragePlugin.SQLITE3)),
     ],
 )
 def test_packed_recordings(name, write, arguments, tmp_path, monkeypatch):
@@ -48,8 +51,44 @@ def test_packed_recordings(name, write, arguments, tmp_path, monkeypatch):
     assert Bag(tmp_path / name).first("/text").data == TEXT
     monkeypatch.setattr(bounds, "FREE", 100_000)
     monkeypatch.setattr(bounds, "RATIO", 1)
-    with pytest.raises(ValueError, match=r"walk.*: not a whole ROS recording: .* packed bytes have more than 10\d{4}"):
+    with pytest.raises(
+        ValueError, match=r"walk.*: not a whole ROS recording: .*(packed bytes have more than 10\d{4}|unpacked)"
+    ):
         Bag(tmp_path / name).first("/text")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "DROP TABLE schema; CREATE VIEW schema AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x FROM c) "
+        "SELECT count(*) AS schema_version FROM c",
+        "ALTER TABLE messages ADD COLUMN more BLOB AS (zeroblob(990000000))",
+    ],
+)
+def test_a_database_that_computes(change, tmp_path):
+    ros_2(tmp_path / "walk", CompressionMode.NONE, StoragePlugin.SQLITE3)
+    with closing(sqlite3.connect(tmp_path / "walk" / "walk.db3")) as database:
+        database.executescript(change)
+    with pytest.raises(ValueError, match=r"walk: not a whole ROS recording: .* computed, maybe without end"):
+        Bag(tmp_path / "walk").first("/text")
+
+
+@pytest.mark.parametrize("name", ["a#b", "a?b", "100% of it", "a%41", "..%2fother%2f"])
+def test_a_database_of_any_name(name, tmp_path):
+    """SQLite gets a URI; the last name would lead out of the folder."""
+    ros_2(tmp_path / "walk", CompressionMode.NONE, StoragePlugin.SQLITE3)
+    (tmp_path / "walk" / "walk.db3").rename(tmp_path / "walk" / f"{name}.db3")
+    description = tmp_path / "walk" / "metadata.yaml"
+    description.write_text(description.read_text().replace("walk.db3", f"'{name}.db3'"))
+    (tmp_path / "walk").rename(tmp_path / name)
+    assert Bag(tmp_path / name).first("/text").data == TEXT
+
+
+def test_a_library_without_a_place_for_the_bounds_is_refused(tmp_path, monkeypatch):
+    ros_2(tmp_path / "walk", CompressionMode.MESSAGE, StoragePlugin.SQLITE3)
+    monkeypatch.delattr("rosbags.rosbag2.reader.zstd")
+    with pytest.raises(ModuleNotFoundError, match="needs rosbags, which is installed, but does not load"):
+        Bag(tmp_path / "walk").first("/text")
 
 
 @pytest.mark.parametrize(

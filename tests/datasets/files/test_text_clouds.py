@@ -77,6 +77,8 @@ def test_normals_without_a_negative_one_are_no_colours(tmp_path, suffix):
         ("31\n" + COLORED, r"line 1: 31 points are counted, got 30: is it truncated\?"),
         ("1,5 2,5 3,5\n", r"line 1: expected decimal points, got commas in '1,5 2,5 3,5'; replace them"),
         ("# nothing\n", "expected a row of x y z for each point, got no rows"),
+        ("x,y,z,x\n1,2,3,4\n", "column 'x' is there twice"),
+        ("z,y,x,label\n1,2,3\n", r"expected 4 columns \(z, y, x, label\), got 3"),
         ("1 2\n3 4\n", r"expected a row of x y z for each point, got shape \[2, 2\]"),
     ],
 )
@@ -84,3 +86,11 @@ def test_what_cannot_be_read(tmp_path, data, message):
     (tmp_path / "a.txt").write_text(data)
     with pytest.raises(ValueError, match=rf"a\.txt: .*{message}"):
         read_cloud_file(tmp_path / "a.txt")
+
+
+@pytest.mark.parametrize(
+    "head", ["z [m],y [m],x [m]", "z (m);y (m);x (m)", "# z y x", "// by a program of x, y, z\n//z,y,x"]
+)
+def test_names_with_units(tmp_path, head):
+    (tmp_path / "a.csv").write_text(f"{head}\n1,2,3\n")
+    assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[3, 2, 1]]

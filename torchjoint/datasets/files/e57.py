@@ -7,6 +7,8 @@ in the file; there are none if any scan lacks them. The library verifies the che
 from __future__ import annotations
 
 import math
+import re
+import struct
 import warnings
 from pathlib import Path
 from typing import Any
@@ -17,10 +19,14 @@ import torch
 
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import present
+from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.runtime.messages import needed_for
 from torchjoint.scene.cloud import full_brightness
 
+#: Bytes of a page, of which the last four are a checksum.
+PAGE = 1024
+#: A document type, or another encoding, in which one could hide.
+_FOREIGN_XML = re.compile(rb"<!(DOCTYPE|ENTITY)|\0|\A[^>]*encoding\s*=\s*.(?!utf-8)", re.I)
 _XYZ = ("cartesianX", "cartesianY", "cartesianZ")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
 
@@ -29,7 +35,7 @@ Array = npt.NDArray[Any]
 
 def read_e57(path: Path) -> CloudFile:
     """Reads a whole file: positions, float64, and colours, if any."""
-    present(path, "a point cloud, .e57")
+    _check_xml(path)
     with needed_for("reading .e57", "pye57", "torchjoint[e57]"):
         import pye57
     try:
@@ -49,6 +55,21 @@ def read_e57(path: Path) -> CloudFile:
             )
         return CloudFile(points)
     return CloudFile(points, torch.from_numpy(np.concatenate([rgb for _, rgb in scans if rgb is not None])))
+
+
+def _check_xml(path: Path) -> None:
+    """Checks the part in XML. The library would fetch what a document type names, also from the network."""
+    with open_file(path, "a point cloud, .e57") as stream, damage_is(f"{path}: not a whole E57 file"):
+        at, size, page = struct.unpack("<24xQQQ", stream.read(48))
+        bounds.check(size, min(path.stat().st_size, bounds.JSON_BYTES), "bytes of XML")
+        if page != PAGE:
+            raise ValueError(f"expected pages of {PAGE} bytes, got {page}")
+        stream.seek(at - at % PAGE)
+        data = stream.read(PAGE * (size // (PAGE - 4) + 2))
+        pages = (data[first : first + PAGE - 4] for first in range(0, len(data), PAGE))
+        xml = b"".join(pages)[at % PAGE :][:size]
+        if not xml.startswith((b"<", b"\xef\xbb\xbf<")) or _FOREIGN_XML.search(xml):
+            raise ValueError("expected XML in UTF-8 without a document type")
 
 
 def _check_counts(path: Path, counts: list[int]) -> None:

@@ -78,7 +78,7 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
         only_places: decompress only coordinates and colours, if the file's point format allows it.
     """
     laspy = las_library()
-    check_header(path)
+    header = check_header(path)
     wanted = laspy.DecompressionSelection.all()
     if only_places:
         kinds = laspy.DecompressionSelection
@@ -87,6 +87,8 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
     try:
         with _clear_errors(path):
             reader = laspy.open(path, decompression_selection=wanted)
+            if header.is_compressed:
+                _compare_chunks(reader, header, path)
         yield reader
     finally:
         if reader is not None:
@@ -137,6 +139,26 @@ def _clear_errors(path: Path) -> Iterator[None]:
         if isinstance(error, MemoryError):
             raise
         raise ValueError(f"{path}: not a whole LAS file: {error}") from error
+
+
+def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
+    """Compares the header's number of points with the chunks'; in formats 0 to 5 they do not tell that of the last."""
+    import lazrs
+
+    kind = lazrs.LazVlr(reader.header.vlrs.get("LasZipVlr")[0].record_data)
+    with path.open("rb") as stream:
+        stream.seek(header.points_at)
+        *full, last = lazrs.read_chunk_table(stream, kind)
+        before = sum(count for count, _ in full)
+        low, high = last[0] if kind.uses_variable_size_chunks() else 1, last[0]
+        if low == 1 and reader.header.point_format.id >= 6:  # the number stands behind the first point
+            stream.seek(header.points_at + 8 + sum(size for _, size in full) + header.record_size)
+            low = high = int.from_bytes(stream.read(4), "little")
+    if header.num_points > before + high:
+        raise ValueError(f"truncated: {header.num_points} points in its header, {before + high} in its chunks")
+    if (rest := before + low - header.num_points) > 0:
+        told = f"{path}: at least {rest} points behind the {header.num_points} of its header are not read"
+        warnings.warn(told, stacklevel=6)
 
 
 class LasHeader(NamedTuple):

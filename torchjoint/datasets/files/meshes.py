@@ -335,6 +335,10 @@ def check_gltf(data: bytes, parts: Parts, name: str) -> None:
 def _check_kinds(tree: dict[str, Any], name: str) -> None:
     """Checks that trimesh reads all points as they are meant: what it does not know it leaves out, or takes for 0."""
     unknown = {f"extension {one}" for one in tree.get("extensionsRequired", ()) if not _LOOKS.fullmatch(one)}
+    if any("skin" in node for node in tree.get("nodes", ())):
+        unknown.add("skins")
+    if any(any(one.get("weights", ())) for one in (*tree.get("meshes", ()), *tree.get("nodes", ()))):
+        unknown.add("weights of morph targets")
     for primitive in (one for mesh in tree.get("meshes", ()) for one in mesh["primitives"]):
         used = [tree["accessors"][one] for one in _accessors(primitive)]
         unknown |= {"sparse accessors"} if any("sparse" in one for one in used) else set()

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain
 from torchjoint.datasets.files.text import parse_integer
-from torchjoint.runtime.foreign_files import damage_is, open_file, read_file
+from torchjoint.runtime.foreign_files import damage_is, no_twice, open_file, read_file
 
 #: Largest size of a header, bytes; real headers have a few hundred bytes.
 MAX_HEADER = 65536
@@ -94,7 +94,8 @@ def _parse_header(path: Path, start: bytes) -> PcdHeader:
         size += len(line)
         words = line.removeprefix(b"\xef\xbb\xbf").decode("ascii", errors="replace").split()
         if words and not words[0].startswith("#"):
-            entries.setdefault(words[0], words[1:])
+            no_twice((*entries, words[0]), f"{path}: line")
+            entries[words[0]] = words[1:]
         if "DATA" in entries:
             break
     with damage_is(f"{path}: not a PCD file, or its header is damaged"):

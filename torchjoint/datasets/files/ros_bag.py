@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import bz2
 import os
+import re
+import sqlite3
 import struct
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from threading import Lock
 from types import SimpleNamespace
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder, present, read_file
@@ -109,23 +112,45 @@ def _open(path: Path) -> Any:
     """Opens a reader of rosbags; it closes its files when it is garbage-collected."""
     with needed_for("reading ROS recordings", "rosbags", "torchjoint[ros]"):
         from rosbags.highlevel import AnyReader
+        from rosbags.rosbag2.reader import zstd  # noqa: F401  others have no place for our bounds
         from rosbags.typesys import Stores, get_typestore
-    _check_files(path)
-    bound_unpacking()
+    bound_unpacking(_check_files(path))
+    check_databases()
     # Recordings of ROS 2 before Iron do not contain the definitions of their messages.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
     reader.open()
     return reader
 
 
-def _check_files(path: Path) -> None:
-    """Checks the files of a recording, which the library opens itself: no device, no pipe, no endless YAML."""
-    if not has_folder(path):
-        present(path, "a ROS recording")
+def check_databases() -> None:
+    """Makes rosbags look at a database before it asks it, and find it if its path has characters of a URI."""
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    open_database = Sqlite3Reader.open
+    if open_database.__module__ == __name__:
         return
-    for file in path.iterdir():
-        has_file(file)
+
+    def opened(reader: Any) -> None:
+        reader.path = Path(quote(str(reader.path)))  # a part of a URI, where ..%2f would lead out of the folder
+        with closing(sqlite3.connect(f"file:{reader.path}?immutable=1", uri=True)) as database:
+            for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
+                if kind not in ("table", "index") or re.search(r"\b(as|virtual)\b", text or "", re.IGNORECASE):
+                    raise ValueError(f"expected plain tables, got a {kind} that is computed, maybe without end")
+        open_database(reader)
+
+    Sqlite3Reader.open = opened
+
+
+def _check_files(path: Path) -> int:
+    """Checks the files of a recording, which the library opens itself: no device, no pipe, no endless YAML.
+
+    Returns:
+        the bytes of all.
+    """
+    if not has_folder(path):
+        return present(path, "a ROS recording").stat().st_size
     read_file(path / "metadata.yaml", "the description of a ROS recording", bounds.YAML_BYTES)
+    return sum(file.stat().st_size for file in path.iterdir() if has_file(file))
 
 
 @contextmanager
@@ -177,8 +202,12 @@ def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
     return b"".join(parts)
 
 
-def bound_unpacking() -> None:
-    """Makes rosbags use :func:`unpack` for chunks (ROS 1, MCAP) and messages (ROS 2)."""
+def bound_unpacking(size: int) -> None:
+    """Makes rosbags use :func:`unpack` for chunks (ROS 1, MCAP) and messages (ROS 2), and bounds its temporary files.
+
+    Args:
+        size: bytes of all files of the recording that is opened next.
+    """
     from lz4.frame import LZ4FrameDecompressor
     from rosbags.rosbag1 import reader as ros_1
     from rosbags.rosbag2 import reader as ros_2
@@ -193,5 +222,14 @@ def bound_unpacking() -> None:
     ros_1.decompressors["lz4"] = lambda packed: unpack(LZ4FrameDecompressor, packed)
     mcap.DECOMPRESSORS["lz4"] = lambda packed, _: unpack(LZ4FrameDecompressor, packed)
     mcap.DECOMPRESSORS["zstd"] = lambda packed, _: unpack(zstd.ZstdDecompressor, packed)
+    written = 0
+
+    def copy(packed: Any, unpacked: Any) -> None:
+        nonlocal written
+        for part in iter(lambda: packed.read(STEP), b""):
+            written += unpacked.write(part)
+            bounds.check_unpacked(written, size)
+
+    ros_2.shutil = SimpleNamespace(copyfileobj=copy)  # for files that are packed as a whole
     messages: Any = SimpleNamespace(open=zstd.open, decompress=lambda packed: unpack(zstd.ZstdDecompressor, packed))
     ros_2.zstd = messages

@@ -17,10 +17,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain, unit_colors
-from torchjoint.runtime.foreign_files import damage_is, read_file
+from torchjoint.datasets.files.columns import NOT_READ, POINTS, CloudFile, cloud_of, plain, unit_colors
+from torchjoint.runtime.foreign_files import damage_is, no_twice, read_file
 
 SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
+#: A unit behind the name of a column: x [m], x (m).
+_UNIT = re.compile(r"\[[^]]*\]|\([^)]*\)")
 #: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.
 MOST_COLUMNS = 16
 #: Letters of columns: positions, colours, normals.
@@ -47,7 +49,11 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         if letters is not None:
             return cloud_of_letters(rows, letters)
         if names is not None and len(names) == rows.shape[1]:
+            no_twice((name for name in names if not NOT_READ.fullmatch(plain(name))), "column")
             return cloud_of(dict(zip(names, rows.T, strict=True)), str(path))
+        is_prose = data[:start].lstrip().startswith((b"#", b"//"))
+        if names is not None and not is_prose and tuple(map(plain, names[:3])) != POINTS[0]:
+            raise ValueError(f"expected {len(names)} columns ({', '.join(names)}), got {rows.shape[1]}")
         return cloud_of_rows(rows, is_pts=count is not None or path.suffix.lower() == ".pts")
 
 
@@ -66,7 +72,7 @@ def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int |
         end = data.find(b"\n", start) + 1 or len(data)
         line = data[start:end].decode("utf-8", "replace").strip()
         is_comment = line.startswith(("#", "//"))
-        words = [word.strip('"') for word in re.split(r"[\s,;]+", line.lstrip("#/ ")) if word]
+        words = [word.strip('"') for word in re.split(r"[\s,;]+", _UNIT.sub("", line.lstrip("#/ "))) if word]
         if words and (is_comment or not _is_number(words[0])):
             if {plain(word) for word in words}.issuperset(POINTS[0]):
                 names = words
