@@ -14,7 +14,7 @@ from samples._parts import write_noise
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.datasets.fusion import fuse_cloud
+from torchjoint.datasets.fusion import fuse_cloud, fuse_or_recall
 
 
 def without_pose(name, folder):
@@ -103,8 +103,12 @@ def test_the_largest_of_several_models(tmp_path):
         assert tj.load_scene(path).points.min() == 1
 
 
-def test_frames_without_depth_among_others(scene_of):
+def test_frames_without_depth_among_others(scene_of, tmp_path, monkeypatch):
     frames = list(scene_of(3).scene.frames)
     frames[1] = dataclasses.replace(frames[1], depth=None)
     with pytest.warns(UserWarning, match=rf"depth: 1 of {len(frames)} frames have no depth image; the cloud is fused"):
         fuse_cloud(frames, 0.05)
+    monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
+    for _ in range(2):  # the second one comes from the cache
+        with pytest.warns(UserWarning, match=rf"depth: 1 of {len(frames)} frames have no depth image"):
+            fuse_or_recall(tmp_path, frames, 0.05, False)
