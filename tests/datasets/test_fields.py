@@ -262,7 +262,7 @@ def test_other_arrays_of_an_archive(tmp_path):
     assert (made.points.dtype, made.faces.dtype) == (torch.float64, torch.int64)
     for faces in ([[0, 1, COUNT]], [[0, 1, 2, 3]], [[0.0, 1.0, 2.0]]):
         np.savez(path, points=XYZ, faces=np.array(faces))
-        with pytest.raises(ValueError, match=r"a\.npz: .*faces: expected rows of three numbers of the 30 points"):
+        with pytest.raises(ValueError, match=r"a\.npz: .*faces: expected rows of three of the 30 points"):
             read_cloud_file(path)
 
 

@@ -164,14 +164,11 @@ def _from_archive(path: Path) -> CloudFile:
     normals = made["normals"].float() if "normals" in made else None
     colors = unit_colors(values["colors"]) if "colors" in values else None
     points, faces = made["points"], made.get("faces")
-    if faces is not None and (
-        faces.shape[1:] != (3,) or faces.is_floating_point() or not 0 <= int(faces.min()) <= int(faces.max()) < count
-    ):
-        raise ValueError(
-            f"faces: expected rows of three numbers of the {count} points, got {faces.dtype} {[*faces.shape]}"
-        )
-    points = points if points.is_floating_point() else points.double()
-    return CloudFile(points, colors, normals, None if faces is None else faces.long())
+    if faces is not None and len(faces):
+        if faces.shape[1:] != (3,) or faces.is_floating_point() or not 0 <= faces.min() <= faces.max() < count:
+            raise ValueError(f"faces: expected rows of three of the {count} points, got {faces.dtype} {[*faces.shape]}")
+        faces = faces.long()
+    return CloudFile(points if points.is_floating_point() else points.double(), colors, normals, faces)
 
 
 def _is_whole(letters: str) -> bool:

@@ -59,11 +59,7 @@ def read_mesh_file(path: Path) -> CloudFile:
         data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ")
     if suffix == ".off" and not _OFF.match(data):
         raise ValueError(f"{path}: expected text that begins with OFF, COFF, NOFF or STOFF, got {data[:20]!r}")
-    if (
-        suffix == ".stl"
-        and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
-        and any(data[132::50] + data[133::50])
-    ):
+    if suffix == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little") and any(data[133::50]):
         warnings.warn(f"{path}: colours of triangles are not read", stacklevel=4)
     bound_textures()
     try:

@@ -66,9 +66,10 @@ def _read_camera(path: Path) -> Camera:
         raise ValueError(
             f"{path}: distortion_model: expected plumb_bob, rational_polynomial or equidistant, got {model!r}"
         )
-    has_size = record.values.get("width") and record.values.get("height")
-    size = (round(record.number("height")), round(record.number("width"))) if has_size else None
-    return Camera(record.numbers("K", 9).view(3, 3), size, lens, str(path), fisheye=model == "equidistant")
+    size = round(record.number("height", 0)), round(record.number("width", 0))
+    return Camera(
+        record.numbers("K", 9).view(3, 3), size if all(size) else None, lens, str(path), fisheye=model == "equidistant"
+    )
 
 
 def _read_pose(path: Path) -> Tensor:

@@ -30,15 +30,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera, interpolate_poses, pinhole_matrix
 from torchjoint.datasets.files.readers import read_matrix
 from torchjoint.datasets.files.text import frame_names, parse_numbers, path_inside, read_lines
-from torchjoint.datasets.recording import (
-    Options,
-    Shot,
-    invert_pose,
-    read_shots,
-    scene_of_frames,
-    tell_left_out,
-    tell_unlisted,
-)
+from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
@@ -81,8 +73,8 @@ def read_frames(path: Path) -> Sequence[Frame]:
     kept = [(index, pose) for index, pose in enumerate(poses) if pose is not None]
     if not kept:
         raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
-    tell_left_out(str(path), len(poses) - len(kept), len(poses), f"have no pose within {TOLERANCE} s,")
-    tell_unlisted(str(path), [file.path for file in colors])
+    left, files = len(poses) - len(kept), [file.path for file in colors]
+    tell_unlisted(str(path), files, left, f"have no pose within {TOLERANCE} s,")
     camera, shots = _camera(path), []
     names = frame_names([str(colors[index].path) for index, _ in kept])
     for (index, pose), name in zip(kept, names, strict=True):
@@ -121,16 +113,15 @@ def associate(first: Sequence[float], second: Sequence[float], tolerance: float 
 
 def _read_files(path: Path) -> list[_File]:
     """Reads a list of timestamps and paths, sorted by time; of lines with equal times the first is used."""
-    files, count = dict[float, _File](), 0
+    files: dict[float, _File] = {}
     for name, line in read_lines(path, "lines of a timestamp and a path"):
         words = line.split()
         if not words:
             continue
         if len(words) != 2:
             raise ValueError(f"{name}: expected a timestamp and a path, got {line[:100]!r}")
-        time, count = parse_numbers(words[:1], name)[0], count + 1
+        time = parse_numbers(words[:1], name)[0]
         files.setdefault(time, _File(time, path_inside(path.parent, words[1], name)))
-    tell_left_out(str(path), count - len(files), count, "have the time of another")
     return [files[time] for time in sorted(files)]
 
 
