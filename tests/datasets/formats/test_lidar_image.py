@@ -110,7 +110,11 @@ def test_jpeg_and_lazy_reading(folder):
     ("file", "content", "message"),
     [
         ("camera_info.json", "{}", r"camera_info\.json: K: missing"),
-        ("camera_info.json", '{"distortion_model": "fov"}', r"distortion_model: expected plumb_bob, rational_poly"),
+        (
+            "camera_info.json",
+            '{"distortion_model": "fov"}',
+            r"distortion_model: expected one of plumb_bob, rational_poly",
+        ),
         ("camera_info.json", '{"K": [1, 2, 3]}', r"camera_info\.json: K: expected 9 numbers"),
         ("camera_info.json", '{"K": [0, 0, 0, 0, 0, 0, 0, 0, 0]}', "intrinsics of .*camera_info.json: expected"),
         ("camera_info.json", '{"K": [9, 0, 1, 0, 9, 1, 0, 0, 1], "D": [1]}', r"D: expected 4, 5 or 8 numbers"),

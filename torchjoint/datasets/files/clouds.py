@@ -163,8 +163,8 @@ def _from_archive(path: Path) -> CloudFile:
     made = {name: torch.from_numpy(values[name]) for name in ("points", "normals", "faces") if name in values}
     normals = made["normals"].float() if "normals" in made else None
     colors = unit_colors(values["colors"]) if "colors" in values else None
-    points, faces = made["points"], made.get("faces")
-    if faces is not None and len(faces):
+    points, faces = made["points"], made.get("faces") if len(values.get("faces", ())) else None
+    if faces is not None:
         if faces.shape[1:] != (3,) or faces.is_floating_point() or not 0 <= faces.min() <= faces.max() < count:
             raise ValueError(f"faces: expected rows of three of the {count} points, got {faces.dtype} {[*faces.shape]}")
         faces = faces.long()

@@ -35,6 +35,9 @@ from torchjoint.scene.checks import as_pose, kept_points
 WHAT = "pointcloud.pcd, image.png (or .jpg), camera_info.json and extrinsic.txt or initial_guess.json"
 
 
+_LENSES = ("plumb_bob", "rational_polynomial", "equidistant")
+
+
 def recognizes(path: Path) -> bool:
     """Returns whether the folder has such a cloud and camera."""
     return has_folder(path) and all(has_file(path / name) for name in ("pointcloud.pcd", "camera_info.json"))
@@ -62,14 +65,11 @@ def _read_camera(path: Path) -> Camera:
         raise ValueError(f"{path}: D: expected 4, 5 or 8 numbers as of OpenCV, got {count}")
     lens = tuple(record.numbers("D", count).tolist()) if count else ()
     model = record.text("distortion_model", "") or "plumb_bob"
-    if model not in ("plumb_bob", "rational_polynomial", "equidistant"):
-        raise ValueError(
-            f"{path}: distortion_model: expected plumb_bob, rational_polynomial or equidistant, got {model!r}"
-        )
+    if model not in _LENSES:
+        raise ValueError(f"{path}: distortion_model: expected one of {', '.join(_LENSES)}, got {model!r}")
     size = round(record.number("height", 0)), round(record.number("width", 0))
-    return Camera(
-        record.numbers("K", 9).view(3, 3), size if all(size) else None, lens, str(path), fisheye=model == "equidistant"
-    )
+    K = record.numbers("K", 9).view(3, 3)
+    return Camera(K, size if all(size) else None, lens, str(path), fisheye=model == "equidistant")
 
 
 def _read_pose(path: Path) -> Tensor:
