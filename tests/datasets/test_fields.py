@@ -311,6 +311,20 @@ def test_colours_of_triangles_and_textures_are_told(tmp_path):
         read_cloud_file(tmp_path / "a.stl")
 
 
+@pytest.mark.parametrize(("bad", "share"), [(np.inf, 1), (-np.inf, 1), (1e30, 1), (-9, 1), (-9, 20)])
+def test_colours_out_of_range(tmp_path, bad, share):
+    """They do not change the scale of the others."""
+    values = RGB.astype("f4")
+    values[4 : 4 + share] = bad
+    fields = dict(zip("xyz", XYZ.T, strict=True)) | dict(zip(("red", "green", "blue"), values.T, strict=True))
+    rest = "they are taken from the nearest points" if share == 1 else "the colors are not read"
+    with pytest.warns(UserWarning, match=rf"a\.ply: {share} of 30 colors are NaN or out of range; {rest}"):
+        colors = ply(tmp_path / "a.ply", fields).colors
+    assert (colors is None) == (share > 1)
+    if colors is not None:
+        torch.testing.assert_close(colors[5:], expected("colors", RGB)[5:])
+
+
 def test_splats_in_part(tmp_path):
     dc = {f"f_dc_{place}": XYZ[:, 0] for place in range(3)}
     with pytest.warns(UserWarning, match="f_dc_0, f_dc_1: no position"):
@@ -326,7 +340,7 @@ def test_packed_colours_with_nan(tmp_path, kind):
     values = packed.view("f4") if kind == "f4" else packed.astype("f8")
     values[4] = np.nan
     fields = dict(zip("xyz", XYZ.T, strict=True)) | {"rgb": values}
-    with pytest.warns(UserWarning, match="1 of 30 colors are NaN; they are taken from the nearest points"):
+    with pytest.warns(UserWarning, match="1 of 30 colors are NaN or out of range; they are taken from the nearest points"):
         read = read_cloud_file(write_pcd(tmp_path / "a.pcd", fields, data="ascii"))
     rest = np.arange(COUNT) != 4
     torch.testing.assert_close(read.colors[rest], expected("colors", RGB)[rest])

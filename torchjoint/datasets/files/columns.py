@@ -45,6 +45,8 @@ NOT_READ = re.compile(
 
 #: Normals that are shorter have no direction. If more than this share of a column's values is wrong, it is left out.
 SHORTEST, MOST_WRONG = 1e-3, 0.5
+#: Colours may be rounded by less than this.
+EDGE = 1e-4
 
 
 class CloudFile(NamedTuple):
@@ -122,17 +124,18 @@ def plain(column: str) -> str:
 
 
 def unit_colors(colors: Array) -> Tensor:
-    """Colours [N, 3] of one file, of any type and scale, as [N, 3] float32 in [0, 1]; NaN stays."""
+    """Colours [N, 3] of one file, of any type and scale, as [N, 3] float32; NaN and what is no colour stay outside."""
     if colors.dtype == np.int8:
         colors = colors.view(np.uint8)
-    largest = float(np.nanmax(colors, initial=0)) if colors.size else 0
-    most = None if colors.dtype.kind == "f" else int(np.iinfo(colors.dtype).max)
+    is_float = colors.dtype.kind == "f"
+    largest = float(np.max(colors, initial=0, where=np.abs(colors) <= 65535 if is_float else True))
+    most = None if is_float else int(np.iinfo(colors.dtype).max)
     white = 255 if colors.dtype == np.uint8 else full_brightness(largest, most)
     return torch.from_numpy((colors if white == 1 else colors / white).astype(np.float32))
 
 
 def repaired(cloud: CloudFile, name: str) -> CloudFile:
-    """The cloud with values of the nearest points for NaN in colours, normals and opacities, and normals of length 0.
+    """The cloud with values of the nearest points for NaN in colours, normals and opacities, and what is none of them.
 
     What is hardly right anywhere is left out. Warnings begin with `name`, and tell the numbers.
     """
@@ -143,12 +146,13 @@ def repaired(cloud: CloudFile, name: str) -> CloudFile:
             continue
         wide = values.view(len(values), -1)
         right = wide.isfinite().all(1)
-        if what == "normals":
-            right &= wide.norm(dim=1) > SHORTEST
+        if what != "opacities":
+            right &= wide.norm(dim=1) > SHORTEST if what == "normals" else ((wide > -EDGE) & (wide < 1 + EDGE)).all(1)
         wrong, known = ((has_place & which).nonzero().squeeze(1) for which in (~right, right))
         if not len(wrong):
             continue
-        told = f"{name}: {len(wrong)} of {len(values)} {what} are NaN{' or of length 0' if what == 'normals' else ''}; "
+        or_else = {"normals": " or of length 0", "colors": " or out of range", "opacities": ""}[what]
+        told = f"{name}: {len(wrong)} of {len(values)} {what} are NaN{or_else}; "
         if len(wrong) > MOST_WRONG * len(values):
             if bool(wide.any()):  # some programs write zeros where they have no normals
                 warnings.warn(f"{told}the {what} are not read", stacklevel=4)
