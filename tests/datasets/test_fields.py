@@ -340,7 +340,9 @@ def test_packed_colours_with_nan(tmp_path, kind):
     values = packed.view("f4") if kind == "f4" else packed.astype("f8")
     values[4] = np.nan
     fields = dict(zip("xyz", XYZ.T, strict=True)) | {"rgb": values}
-    with pytest.warns(UserWarning, match="1 of 30 colors are NaN or out of range; they are taken from the nearest points"):
+    with pytest.warns(
+        UserWarning, match="1 of 30 colors are NaN or out of range; they are taken from the nearest points"
+    ):
         read = read_cloud_file(write_pcd(tmp_path / "a.pcd", fields, data="ascii"))
     rest = np.arange(COUNT) != 4
     torch.testing.assert_close(read.colors[rest], expected("colors", RGB)[rest])

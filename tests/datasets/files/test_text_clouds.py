@@ -96,7 +96,9 @@ def test_single_unknown_values(tmp_path, by):
     """They are NaN, or empty as pandas writes them."""
     rows = text(XYZ, np.where(np.arange(30)[:, None] == 3, np.nan, RGB), by=by)
     (tmp_path / "a.csv").write_text(rows if by == " " else rows.replace("nan", ""))
-    with pytest.warns(UserWarning, match="1 of 30 colors are NaN or out of range; they are taken from the nearest points"):
+    with pytest.warns(
+        UserWarning, match="1 of 30 colors are NaN or out of range; they are taken from the nearest points"
+    ):
         colors = read_cloud_file(tmp_path / "a.csv").colors
     np.testing.assert_allclose(np.delete(colors.numpy(), 3, 0), np.delete(RGB, 3, 0) / 255, atol=1e-6)
     (tmp_path / "a.xyz").write_text(text(XYZ, np.where(np.arange(30)[:, None] == 3, np.nan, UP)))

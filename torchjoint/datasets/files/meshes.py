@@ -170,7 +170,7 @@ def _in_rows(mesh: CloudFile, own: CloudFile) -> CloudFile:
     rows = known[torch.from_numpy(cKDTree(own.points[known].numpy()).query(mesh.points.numpy())[1])]
     colors = own.colors
     if colors is None and mesh.colors is not None:
-        colors = torch.full((len(own.points), 3), torch.nan).index_copy(0, rows, mesh.colors)
+        colors = mesh.colors.new_full((len(own.points), 3), torch.nan).index_copy(0, rows, mesh.colors)
         at = cKDTree(mesh.points.numpy()).query(own.points[known].numpy())[1]  # vertices of one place, or of no face
         colors[known] = mesh.colors[torch.from_numpy(at)]
     return own._replace(colors=colors, faces=None if mesh.faces is None else rows[mesh.faces])
