@@ -29,14 +29,16 @@ def train_scan_model(
     from tqdm import tqdm
 
     from torchjoint.segments.learned.boundary_model import save_boundary_model
+    from torchjoint_lab.benchmark.real_scenes import model_without
     from torchjoint_lab.training.scan_model import fit_scan_model, real_examples, street_examples
 
     if not 0 <= seeds[0] < seeds[1]:
         raise ValueError(f"--seeds: expected 0 <= first < end, got {seeds[0]} {seeds[1]}")
     examples = list(real_examples(data)) if data is not None else []
     sensors = sorted({one.sensor for one in examples})
-    names = {"": "scan.npz", **{sensor: f"without-{sensor}.npz" for sensor in sensors}}
+    names = {"": "scan.npz", **{sensor: model_without(sensor) for sensor in sensors}}
     files = check_output(out, tuple(names.values()), overwrite, () if data is None else (data,))
+    out.mkdir(parents=True, exist_ok=True)
     for seed in tqdm(range(*seeds), unit="street"):
         examples += street_examples([seed])
     for sensor, name in names.items():

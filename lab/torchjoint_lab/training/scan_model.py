@@ -18,7 +18,7 @@ from torchjoint.segments.scan.method import scan_tree
 from torchjoint.segments.scan.recognition import directions, find_rings
 from torchjoint.segments.scan.tree import FEATURE_NAMES, Tree, summed_up
 from torchjoint_lab.benchmark.disturbances import moved
-from torchjoint_lab.benchmark.real_scenes import LIDAR, find_real_scenes
+from torchjoint_lab.benchmark.real_scenes import LIDAR, SAME_SENSOR, find_real_scenes
 from torchjoint_lab.evaluation.partial_truth import PartialTruth
 from torchjoint_lab.synthetic import LIDARS, make_domain_scene
 from torchjoint_lab.training.boundary_model import trees_of_classifier
@@ -33,8 +33,6 @@ OF_OTHERS = 0.25
 OF_REAL = 3.0
 #: Smallest gain or loss of an example.
 LEAST_GAIN = 1e-3
-#: KITTI and SemanticKITTI are one sensor, on one car.
-SAME_SENSOR = {"semantickitti": "kitti"}
 
 
 class Example(NamedTuple):
@@ -130,7 +128,7 @@ def gains(tree: Tree, truth: PartialTruth, weight: Tensor) -> Tensor:
     return gain.index_add_(0, above, -cost)
 
 
-def fit_scan_model(examples: Sequence[Example], without: str = "", members: int = 2) -> BoundaryModel:
+def fit_scan_model(examples: Sequence[Example], without: str = "", members: int = 3) -> BoundaryModel:
     """The model of all examples but those of one sensor; equal examples make equal models."""
     with needed_for("training a model of scans", "scikit-learn", "torchjoint-lab"):
         from sklearn.ensemble import HistGradientBoostingClassifier

@@ -220,7 +220,7 @@ def save_boundary_model(path: Path, model: BoundaryModel) -> None:
 
 
 def load_boundary_model(
-    path: str | Path | None = None, features: tuple[str, ...] = FEATURE_NAMES, packaged: str = PACKAGED
+    path: str | Path | None = None, features: tuple[str, ...] = FEATURE_NAMES, packaged: str | None = None
 ) -> BoundaryModel:
     """Reads and checks a model.
 
@@ -230,10 +230,10 @@ def load_boundary_model(
         path: a file of :func:`save_boundary_model`; None: the model that comes with the package; a process
             reads it only once.
         features: the names that it must have.
-        packaged: name of the model that comes with the package.
+        packaged: name of the model that comes with the package, of PACKAGED if None.
     """
     if path is None:
-        return _packaged_model(features, packaged)
+        return _packaged_model(features, packaged or PACKAGED)
     path = Path(path)
     if not has_file(path):
         raise FileNotFoundError(f"{path}: missing; expected a model of `torchjoint-lab train-boundary-model`, NAME.npz")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
@@ -17,7 +18,7 @@ from torchjoint.ops.internal import local_spacing
 from torchjoint.runtime.threads import all_threads, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Hierarchy
 from torchjoint.scene.checks import as_points
-from torchjoint.segments.scan.cut import falls_apart, gain_of_parts, levels_of, packaged_model
+from torchjoint.segments.scan.cut import falls_apart, gain_of_parts, levels_of, load_scan_model
 from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, ground_below, grow_ground
 from torchjoint.segments.scan.recognition import Directions, Rings, directions, find_rings, look_for_scan
@@ -55,7 +56,10 @@ def segment_scan(
 
 
 def segment_levels(
-    points: Tensor, config: ScanConfig | None = None, rings: Rings | Literal["search"] | None = "search"
+    points: Tensor,
+    config: ScanConfig | None = None,
+    rings: Rings | Literal["search"] | None = "search",
+    model: Path | None = None,
 ) -> Hierarchy:
     """The segments of one scan of a LiDAR at all levels.
 
@@ -66,11 +70,11 @@ def segment_levels(
     say whether it is a thing, or its parts are (:func:`~torchjoint.segments.scan.cut.falls_apart`). Distances are those
     after the rings were moved closer together (:func:`with_near_rings`).
 
-    Arguments and errors are those of :func:`segment_scan`.
+    Arguments and errors are those of :func:`segment_scan`; `model`: file of another model than the packaged one.
     """
     with torch.no_grad(), one_thread_per_operation():
         tree = scan_tree(points, config or ScanConfig(), rings)
-        return levels_of(tree, falls_apart(tree, gain_of_parts(tree, packaged_model())), len(points))
+        return levels_of(tree, falls_apart(tree, gain_of_parts(tree, load_scan_model(model))), len(points))
 
 
 def scan_tree(points: Tensor, config: ScanConfig, rings: Rings | Literal["search"] | None) -> Tree:
@@ -134,10 +138,14 @@ def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
 
 
 def segment(
-    graph: PointGraph, evidence: Evidence, config: Config, rings: Rings | Literal["search"] | None = "search"
+    graph: PointGraph,
+    evidence: Evidence,
+    config: Config,
+    rings: Rings | Literal["search"] | None = "search",
+    model: Path | None = None,
 ) -> Hierarchy:
-    """The ground and the objects on it at all levels; `rings` as for :func:`segment_scan`."""
-    return segment_levels(graph.points, config.scan, rings)
+    """The ground and the objects on it at all levels; `rings` and `model` as for :func:`segment_levels`."""
+    return segment_levels(graph.points, config.scan, rings, model)
 
 
 def measured(graph: PointGraph) -> str:
