@@ -155,7 +155,7 @@ class Segmentation:
         """
         if self.hierarchy is None:
             raise ValueError(
-                "hierarchy: expected a segmentation with levels, got one level; point_segments.method paper makes no others"
+                "hierarchy: expected a segmentation with levels, got one level, as of point_segments.method paper"
             )
         of_piece = self.hierarchy.segments_of_pieces(self.hierarchy.height_of(granularity))
         points = of_piece[self.hierarchy.piece]

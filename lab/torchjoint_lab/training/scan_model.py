@@ -106,6 +106,8 @@ def gains(tree: Tree, truth: PartialTruth, weight: Tensor) -> Tensor:
     count = len(tree.parent)
     instance = truth.instance[tree.which]
     ids, size = torch.unique(truth.instance[truth.instance >= 0], return_counts=True)
+    if not len(ids):
+        return torch.zeros(count, dtype=torch.float64)
     known = torch.nonzero(instance >= 0).squeeze(1)
     common = torch.zeros(count, len(ids) + 1, dtype=torch.float64)
     place = torch.searchsorted(ids, instance[known])
