@@ -118,7 +118,7 @@ class JointSegmenter(nn.Module):
             masks or labels, they are used instead.
         merge_within: metres; the points in one cube with this side are merged to their mean, and all get its label. Use
             it for scans that overlap with small errors. Method scan ignores it. Exact copies are always merged.
-        granularity: level of the result, from 0 (coarse) to 1 (fine); another one than 0.5 needs method learned. Each
+        granularity: level of the result, from 0 (coarse) to 1 (fine); not with method paper. Each
             result has all levels, see :meth:`torchjoint.Segmentation.at`.
         memory: largest memory of the frames' evidence for steps 6-8: "2GB", "500 MiB", or bytes. The rest is packed to
             a temporary file. The labels do not depend on it. Default: a quarter of the memory of the machine or
@@ -355,8 +355,8 @@ class JointSegmenter(nn.Module):
             config: other parameters to try, as far as the evidence does not depend on them.
 
         Returns:
-            labels of the points [N] and of the frames [H, W], frames in the order in which they were added. Method
-            learned also gives all other levels, see :meth:`torchjoint.Segmentation.at`.
+            labels of the points [N] and of the frames [H, W], frames in the order in which they were added. All
+            methods but paper also give all other levels, see :meth:`torchjoint.Segmentation.at`.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.

@@ -99,7 +99,8 @@ class Hierarchy:
             return.
         merges: [M, 2] int64, M < P: two pieces; a merge joins the two segments that contain them.
         heights: [M] float64 in [0, 1]: up to what probability of a boundary regions must merge, until most judges have
-            the two segments together. It is at least the height of each merge inside them.
+            the two segments together; of a LiDAR scan, how large a gap joins them. It is at least the height of each
+            merge inside them.
         default: height of the default level.
         votes: the segments of each judge at the default level; None: there were no judges.
 

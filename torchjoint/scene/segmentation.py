@@ -83,8 +83,8 @@ class Segmentation:
         initial_images: the initial image segmentations, [H, W] int64 (each frame has its own ids).
         names: the frames' names, in order.
         seconds: seconds per stage, added up over threads.
-        hierarchy: all levels of the segmentation, from which :meth:`at` chooses; None if the method makes none. Only
-            method learned makes one.
+        hierarchy: all levels of the segmentation, from which :meth:`at` chooses; None if the method makes none, as
+            method paper.
         piece_images: with a hierarchy, a sequence of [H, W] int64, one per frame: the piece of the hierarchy in each
             pixel of a 3D segment, else -1. Each image is computed at its first use, so the segmentation keeps the
             frames' observations.
@@ -166,8 +166,7 @@ class Segmentation:
         """
         if self.hierarchy is None:
             raise ValueError(
-                "hierarchy: expected a segmentation with levels, got one level; only point_segments.method learned "
-                "makes a hierarchy"
+                "hierarchy: expected a segmentation with levels, got one level, as of point_segments.method paper"
             )
         of_piece = self.hierarchy.segments_of_pieces(self.hierarchy.height_of(granularity))
         points = with_none(of_piece)[self.hierarchy.piece]
