@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import resource
 
 import laspy
 import numpy as np
@@ -355,4 +356,16 @@ class TestSurvey:
             run("label", survey[1], survey[0], "-o", tmp_path / "out.ply")
         with pytest.raises(SystemExit, match="expected no dimension quality, got one; remove it first"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "quality")
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # laspy's file, as it is deleted
+    def test_a_full_disk_is_one_line(self, survey, run, tmp_path):
+        """lazrs does not say why it cannot write; files of at most 8 kB stand for the disk."""
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, limits[1]))
+        try:
+            with pytest.raises(SystemExit, match=r"out\.laz: cannot be written .* is the disk full\?"):
+                run("label", survey[1], survey[0], "-o", tmp_path / "out.laz")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert list(tmp_path.iterdir()) == []

@@ -7,7 +7,8 @@ vertices than the result has points: those that were thinned out, faint splats, 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,10 @@ def write_labelled(
     laspy, done = las_library(), 0
     with open_las(path, only_places=False) as reader:
         header = _header(laspy, reader.header, columns)
-        with laspy.open(out, "w", header=header, do_compress=out.suffix.lower() == ".laz") as writer:
+        with (
+            _disk_errors(out),
+            laspy.open(out, "w", header=header, do_compress=out.suffix.lower() == ".laz") as writer,
+        ):
             for chunk in las_chunks(reader, path):
                 record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=writer.header)
                 for name in chunk.array.dtype.names:  # the stored numbers, not scaled coordinates: an exact copy
@@ -74,6 +78,17 @@ def write_labelled(
             if extended:
                 writer.write_evlrs(laspy.vlrs.vlrlist.VLRList(extended))
     return done
+
+
+@contextmanager
+def _disk_errors(out: Path) -> Iterator[None]:
+    """Turns the error of lazrs that it cannot write, which does not say why, into one that names the file."""
+    import lazrs
+
+    try:
+        yield
+    except lazrs.LazrsError as error:
+        raise OSError(f"{out}: cannot be written ({error}); is the disk full?") from error
 
 
 def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
