@@ -162,8 +162,7 @@ def fuse_or_recall(
     file = _file(path, voxel_size, how)
     if file is not None and has_file(file):
         try:
-            points, colors = read_cloud_file(file)[:2]
-            return points.float(), colors
+            return read_cloud_file(file)[:2]
         except ValueError:
             pass  # a damaged file is written anew
     points, colors = fuse_cloud(frames, voxel_size, progress=progress)
