@@ -142,7 +142,7 @@ def _check_arrays(types: Mapping[str, Any]) -> None:
 
 
 def bound_definitions() -> None:
-    """Makes rosbags compute no number beyond 64 bits in the definition of a type: `1 << 99999999999` fills the memory."""
+    """Makes rosbags compute no number beyond 64 bits in a definition: `1 << 99999999999` fills the memory."""
     from rosbags.typesys import idl
 
     evaluate = idl.eval_expression
