@@ -200,6 +200,17 @@ def test_meshes_of_other_formats(tmp_path, suffix):
     assert all(len(part.faces) == 2 for part in scene.geometry.values())
 
 
+def test_a_mesh_of_a_survey_is_as_exact_in_a_glb(tmp_path):
+    """Its vertices are float32 there, and stood in steps of a quarter of a metre."""
+    places = SQUARES.double() + torch.tensor([500_000.0, 4_000_000.0, 100.0])
+    rows = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in places.tolist()]
+    faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES.tolist()]
+    (tmp_path / "a.obj").write_text("\n".join([*rows, *faces]))
+    label_file(tmp_path / "a.obj", tmp_path / "b.glb", result_of(places, torch.zeros(len(places), dtype=torch.int64)))
+    found = meshes.read_mesh_file(tmp_path / "b.glb").points
+    assert (torch.cdist(places, found.double()).amin(1) < 1e-3).all()
+
+
 def test_points_on_a_mesh_are_even_and_in_its_colours():
     corners = torch.tensor([[0.0, 0, 0], [2, 0, 0], [0, 1, 0], [5, 0, 0], [5, 3, 0], [5, 0, 2]])
     with pytest.warns(UserWarning, match="are drawn on them"):

@@ -252,12 +252,14 @@ def _write_glb(out: Path, mesh: CloudFile, of_face: Tensor | None, result: Resul
         raise ValueError("expected a mesh with faces, for a .glb, got vertices only")
     with needed_for(".glb files", "trimesh", "torchjoint[mesh]"):
         import trimesh
-    scene = trimesh.Scene()
+    scene, place = trimesh.Scene(), np.eye(4)
+    # A .glb has float32 for vertices, which is too coarse for places in surveys, but not for those of nodes.
+    place[:3, 3] = origin = mesh.points.double().mean(0).numpy().round(-3)
     for segment in of_face.unique().tolist():
         corners, faces = mesh.faces[of_face == segment].unique(return_inverse=True)
         color = (label_colors(torch.tensor([segment])) * 255).round().to(torch.uint8).expand(len(corners), 3)
         part = trimesh.Trimesh(
-            mesh.points[corners].numpy(), faces.numpy(), vertex_colors=color.numpy(), process=False, validate=False
+            mesh.points[corners].numpy() - origin, faces.numpy(), vertex_colors=color.numpy(), process=False, validate=False
         )
-        scene.add_geometry(part, node_name=_stem(segment, result), geom_name=_stem(segment, result))
+        scene.add_geometry(part, _stem(segment, result), _stem(segment, result), transform=place)
     write_bytes(out, scene.export(file_type="glb"))
