@@ -258,8 +258,7 @@ def _write_glb(out: Path, mesh: CloudFile, of_face: Tensor | None, result: Resul
     for segment in of_face.unique().tolist():
         corners, faces = mesh.faces[of_face == segment].unique(return_inverse=True)
         color = (label_colors(torch.tensor([segment])) * 255).round().to(torch.uint8).expand(len(corners), 3)
-        part = trimesh.Trimesh(
-            mesh.points[corners].numpy() - origin, faces.numpy(), vertex_colors=color.numpy(), process=False, validate=False
-        )
+        vertices = mesh.points[corners].numpy() - origin
+        part = trimesh.Trimesh(vertices, faces.numpy(), vertex_colors=color.numpy(), process=False, validate=False)
         scene.add_geometry(part, _stem(segment, result), _stem(segment, result), transform=place)
     write_bytes(out, scene.export(file_type="glb"))
