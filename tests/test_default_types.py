@@ -74,8 +74,10 @@ CALLS = {
     "masks of labels": lambda: tj.masks.from_labels(LABELS.view(20, 30)).labels(),
     "nested masks": lambda: tj.masks.from_stack(STACK).resized((37, 56)).labels(),
     "masks of COCO": lambda: tj.masks.from_coco([IN_MASKS], (2, 3)).stack(),
+    "a cloud alone": lambda: tj.JointSegmenter()(tj.Scene(CLOUD)).points.tolist(),
     "labels of the nearest": lambda: tj.transforms.transfer_labels(LABELS[:9], POINTS, POINTS + 0.1),
 }
+CLOUD = torch.rand(600, 3, generator=torch.Generator().manual_seed(0))
 POINTS = torch.arange(27.0).view(9, 3)
 
 

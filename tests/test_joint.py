@@ -16,6 +16,7 @@ from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.recordings.segment import run
 from torchjoint.results.checkpoint import Checkpoint, run_key
+from torchjoint.results.folder import write_result
 from torchjoint.scene.frame import PoseWarning
 from torchjoint.segments.method import LEARNED
 from torchjoint.segments.scan.method import segment_scan
@@ -639,11 +640,36 @@ def test_steps_under_another_default_device(synthetic):
     assert len(segmenter.compute(images=False).points) == len(synthetic.scene.points)
 
 
-def test_beams_without_return_are_told():
-    points = torch.rand(300, 3, generator=torch.Generator().manual_seed(0))
-    points[::3] = 0
-    with pytest.warns(UserWarning, match=r"points: 100 of 300 are exactly \(0, 0, 0\), as beams without return"):
-        tj.JointSegmenter().reset(points)
+@pytest.mark.parametrize("preset", [None, "scan", "paper"])
+def test_beams_without_return_have_no_label(synthetic, preset, tmp_path):
+    """As those of files: they are told, and change nothing of the other points."""
+    scene = synthetic.scene.sample_frames(2)
+    rows = torch.arange(len(scene.points) + 100).roll(7)
+    rows = torch.where(rows < 100, 0, rows - 99)
+    first = torch.cat([torch.zeros(1, 3), scene.points])
+    colors = torch.cat([torch.zeros(1, 3), scene.colors])
+    given = tj.Scene(first[rows], scene.frames, colors[rows])
+    kept = rows > 0
+    segmenter = tj.JointSegmenter() if preset is None else tj.JointSegmenter.from_preset(preset)
+    expected = segmenter(given.select_points(kept))
+    with pytest.warns(
+        UserWarning, match=r"points: 100 of 6100 points are \(0, 0, 0\), beams without return; they are le"
+    ):
+        result = segmenter(given)
+    assert torch.equal(result.points[kept], expected.points)
+    assert (result.points[~kept] == -1).all()
+    assert all(map(torch.equal, result.images, expected.images))
+    write_result(tmp_path, given, result, segmenter.config, "scene")
+    assert torch.equal(tj.load_result(tmp_path).points, expected.points)
+    if preset is None:
+        whole = tj.Result.of(result, given)
+        assert torch.equal(whole.scene.points, given.points[kept])
+        assert torch.equal(result.at(0.9).points[kept], expected.at(0.9).points)
+        assert all(map(torch.equal, result.at(0.9).images, expected.at(0.9).images))
+        assert torch.equal(result.point_confidence[kept], expected.point_confidence)
+        assert not result.point_confidence[~kept].any()
+        assert torch.equal(result.hierarchy.at(0.2)[kept], expected.hierarchy.at(0.2))
+        assert torch.equal(whole.confidence, expected.confidence)
 
 
 def test_another_level(synthetic):

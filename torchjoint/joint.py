@@ -35,7 +35,7 @@ from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import ahead, on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene, Segmentation
-from torchjoint.scene.checks import without_return
+from torchjoint.scene.checks import kept_points
 from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.segments.method import Method, choose_method, describe
 from torchjoint.views.evidence import Evidence, FrameEvidence, observe_frame
@@ -118,7 +118,7 @@ class JointSegmenter(nn.Module):
             masks or labels, they are used instead.
         merge_within: metres; the points in one cube with this side are merged to their mean, and all get its label. Use
             it for scans that overlap with small errors. Method scan ignores it. Exact copies are always merged.
-        granularity: level of the result, from 0 (coarse) to 1 (fine); another one than 0.5 needs method learned. Each
+        granularity: level of the result, from 0 (coarse) to 1 (fine); not with method paper. Each
             result has all levels, see :meth:`torchjoint.Segmentation.at`.
         memory: largest memory of the frames' evidence for steps 6-8: "2GB", "500 MiB", or bytes. The rest is packed to
             a temporary file. The labels do not depend on it. Default: a quarter of the memory of the machine or
@@ -283,6 +283,8 @@ class JointSegmenter(nn.Module):
     def reset(self, points: Tensor, colors: Tensor | None = None, normals: Tensor | None = None) -> None:
         """Forgets all frames, makes the method of step 6, and builds the graph of a cloud (step 3).
 
+        Beams without return (many points at (0, 0, 0)) are left out, with a warning; their label is -1.
+
         Logs the measured scales and the method in one line (logger ``torchjoint.joint``, level INFO).
 
         Args:
@@ -298,15 +300,13 @@ class JointSegmenter(nn.Module):
 
     def _reset(self, given: Cloud) -> None:
         self.stopwatch = Stopwatch()
-        if lost := int(without_return(given.points).sum()):
-            warnings.warn(
-                f"points: {lost} of {len(given.points)} are exactly (0, 0, 0), as beams without return; leave them "
-                "out, or they become a thing",
-                stacklevel=3,
-            )
+        kept = kept_points(given.points, "points", "keep", "drop many").nonzero().squeeze(1)
+        num_given, given = len(given.points), given if len(kept) == len(given.points) else given.selected(kept)
         with one_thread_per_operation(), self.stopwatch("point graph"):
             self._given = given.points
-            self._graph, self._method = prepare(given, self.config, self.merge_within, self._own_method)
+            graph, self._method = prepare(given, self.config, self.merge_within, self._own_method)
+            of_given = torch.full((num_given,), -1).index_copy_(0, kept, graph.of_given)
+            self._graph = graph.of(graph.local, of_given)
             if self.granularity != 0.5 and not self._method.has_levels:
                 raise ValueError(f"granularity: expected 0.5, because method {self._method.name} has one level")
             if self._graph.known_spacing is not None:
@@ -355,8 +355,8 @@ class JointSegmenter(nn.Module):
             config: other parameters to try, as far as the evidence does not depend on them.
 
         Returns:
-            labels of the points [N] and of the frames [H, W], frames in the order in which they were added. Method
-            learned also gives all other levels, see :meth:`torchjoint.Segmentation.at`.
+            labels of the points [N] and of the frames [H, W], frames in the order in which they were added. All
+            methods but paper also give all other levels, see :meth:`torchjoint.Segmentation.at`.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.

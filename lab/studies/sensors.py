@@ -29,11 +29,12 @@ from streets import Sweep, best_simple, judge, kitti, known_instances, run, sema
 from torch import Tensor
 from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.planes import planes_and_clusters
+from torchjoint_lab.benchmark.real_scenes import model_without
 from torchjoint_lab.synthetic import LIDARS
 
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.metrics import ScannetAveragePrecisionMetric
-from torchjoint.segments.scan.method import segment_scan
+from torchjoint.segments.scan.method import segment_levels, segment_scan
 from torchjoint.segments.scan.recognition import look_for_scan
 
 #: Labels [N] of points [N, 3]; -1 = none.
@@ -81,6 +82,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder with those of SENSORS")
     parser.add_argument("--simple", type=int, default=0, metavar="COUNT", help="tries plane removal + DBSCAN")
     parser.add_argument("--travel", type=Path, metavar="PYTHON", help="interpreter of the peers")
+    parser.add_argument("--models", type=Path, help="folder of train-scan-model: no scan by a model of its sensor")
     parser.add_argument("--streets", type=int, default=6, metavar="COUNT", help="generated streets of each sensor")
     parser.add_argument("--done", type=Path, metavar="FILE", help="cells that were measured, JSON")
     report.add_write(parser, "the tables in lab/studies/lidar.md")
@@ -90,7 +92,8 @@ def main() -> None:
     columns, rows = ["method"], dict[str, list[str]]()
     for name, title in SENSORS.items():
         sweeps = list(loaders[name](arguments.data) if name in loaders else plain(name, arguments.data))
-        methods: dict[str, Callable[[], Method]] = {"default": lambda: segment_scan}
+        model = arguments.models and arguments.models / model_without(name)
+        methods: dict[str, Callable[[], Method]] = {"default": lambda model=model: partial(segment, model)}
         if arguments.travel:
             methods["TRAVEL"] = lambda: partial(travel, arguments.travel)
         if arguments.travel and arguments.simple:
@@ -139,6 +142,11 @@ def of_generated(count: int, python: Path | None, cells: Cells) -> str:
         found = [cells.get(f"{kind}, {name}", made, sweeps) for name, made in methods.items()]
         rows.append([kind, f"{recognised} of {len(sweeps)}", *found])
     return report.table(["sensor", "recognised", *methods], rows)
+
+
+def segment(model: Path | None, points: Tensor) -> Tensor:
+    """The default's labels [N], with the packaged model or with that of a file."""
+    return segment_levels(points, model=model).at()
 
 
 def plain(name: str, data: Path) -> Iterator[Sweep]:

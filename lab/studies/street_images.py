@@ -125,7 +125,7 @@ def seen_edges(points: Tensor, frame: Frame, edges: Tensor, weight: Tensor, conf
 def scan_graph(points: Tensor, config: ScanConfig) -> tuple[Tensor, Tensor, Tensor]:
     """Edges [2, E] between points over the ground; their lengths in allowed gaps [E]; [N] bool, True for ground."""
     with one_thread_per_operation():
-        gaps, on_ground = scan_gaps(points, config, "search")
+        gaps, on_ground, _ = scan_gaps(points, config, "search")
         u, v = undirected_edges(ops.nearest_neighbors(gaps.points, NEIGHBORS, 0)[0])  # also those beyond a gap
         length = (gaps.points[u].double() - gaps.points[v].double()).norm(dim=1)
         edges, weight = gaps.which[torch.stack([u, v])], (length / torch.minimum(gaps.gap[u], gaps.gap[v])).float()

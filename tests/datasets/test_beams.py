@@ -27,6 +27,18 @@ def test_files(tmp_path, suffix):
     assert len(read_cloud_file(path, invalid="keep").points) == 400
 
 
+def test_scans_of_an_e57(tmp_path):
+    """Each scan has its own place of the sensor."""
+    pye57 = pytest.importorskip("pye57")
+    data = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), SCAN.astype(float).T.copy(), strict=True))
+    with pye57.E57(str(tmp_path / "a.e57"), mode="w") as file:
+        for height in (0.0, 5.0):
+            file.write_scan_raw(data, translation=np.array([0.0, 0.0, height]))
+    with pytest.warns(UserWarning, match=rf"a\.e57: scan [01]: {TOLD}"):
+        points = read_cloud_file(tmp_path / "a.e57").points
+    np.testing.assert_allclose(points, np.r_[POINTS, POINTS + np.float32([0, 0, 5])], atol=1e-5)
+
+
 def test_a_scan_of_kitti_has_no_point_at_its_sensor(tmp_path):
     np.c_[SCAN[:5], SCAN[:5, :1]].astype("<f4").tofile(tmp_path / "000000.bin")
     with pytest.warns(UserWarning, match=r"1 of 5 points are \(0, 0, 0\)"):

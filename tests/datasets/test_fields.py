@@ -3,6 +3,8 @@
 Each field is present, absent, of another type, NaN, or in one of two parts: nothing is lost in silence.
 """
 
+import base64
+import json
 import warnings
 
 import numpy as np
@@ -80,8 +82,6 @@ def expected(goes, values):
 @pytest.mark.parametrize("file", READERS)
 @pytest.mark.parametrize(("names", "goes", "values", "kinds"), FIELDS, ids=["-".join(one[0]) for one in FIELDS])
 def test_each_field(tmp_path, file, names, goes, values, kinds):
-    if (file, goes) == ("message", "normals"):
-        pytest.skip("scans are merged without normals")
     path, reader = tmp_path / file, READERS[file]
     made, told = read(path, reader, {})
     assert getattr(made, goes) is None  # absent
@@ -89,6 +89,10 @@ def test_each_field(tmp_path, file, names, goes, values, kinds):
     for kind in kinds:  # present, in any type
         fields = {name: column.astype(f"{kind}") for name, column in zip(names, values.T, strict=True)}
         made, told = read(path, reader, fields)
+        if (file, goes) == ("message", "normals"):
+            assert made.normals is None
+            assert told == ["message: normals of scans are not read"]
+            continue
         torch.testing.assert_close(getattr(made, goes), expected(goes, values), atol=1e-6, rtol=0)
         assert not told
         if kind[0] == "f":  # NaN at one point
@@ -113,33 +117,237 @@ def test_other_fields_are_told_or_known(tmp_path, file):
     assert ["blue, temperature: no position, normal or colour" in one for one in told] == [True]
 
 
-def test_arrays_of_an_archive(tmp_path):
-    arrays = {"points": XYZ, "colors": RGB, "normals": UP, "labels": np.arange(COUNT)}
-    np.savez(tmp_path / "a.npz", **arrays)
-    made = read_cloud_file(tmp_path / "a.npz")
-    torch.testing.assert_close(made.colors, expected("colors", RGB))
-    torch.testing.assert_close(made.normals, torch.from_numpy(UP))
-    np.savez(tmp_path / "a.npz", **arrays, heat=XYZ)
-    with pytest.warns(UserWarning, match=r"a\.npz: heat: no position, normal or colour by these names; not read"):
-        read_cloud_file(tmp_path / "a.npz")
+def npz(path, colors, normals):
+    np.savez(path, points=XYZ, **({} if colors is None else {"colors": colors}), **normals_as("normals", normals))
 
 
-def test_dimensions_of_a_las(tmp_path):
+def normals_as(name, normals):
+    return {} if normals is None else {name: normals}
+
+
+def las(path, colors, normals):
     laspy = pytest.importorskip("laspy")
-    for kind in (0, 2):
-        las = laspy.create(point_format=kind, file_version="1.2")
-        las.header.scales = [1e-6] * 3
-        las.x, las.y, las.z = XYZ.astype(float).T
-        las.intensity = np.arange(COUNT)
-        if kind == 2:
-            las.red, las.green, las.blue = RGB.astype("u2").T
-            las.add_extra_dim(laspy.ExtraBytesParams("heat", "float32"))
-        las.write(tmp_path / "a.las")
-        with warnings.catch_warnings(record=True) as told:
-            warnings.simplefilter("always")
-            made = read_cloud_file(tmp_path / "a.las")
-        assert (made.colors is None) == (kind == 0)
-        assert ["heat: no position" in str(one.message) for one in told] == [True] * (kind == 2)
+    las = laspy.create(point_format=6 if colors is None else 7, file_version="1.4")
+    las.header.scales = [1e-6] * 3
+    las.x, las.y, las.z = XYZ.astype(float).T
+    las.intensity = np.arange(COUNT)
+    if colors is not None:
+        las.red, las.green, las.blue = colors.T
+    if normals is not None:  # as CloudCompare and PDAL write them
+        for name, column in zip(("NormalX", "NormalY", "NormalZ"), normals.T, strict=True):
+            las.add_extra_dim(laspy.ExtraBytesParams(name, normals.dtype))
+            las[name] = column
+    las.write(path)
+
+
+def e57(path, colors, normals):
+    pye57 = pytest.importorskip("pye57")
+    data = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), XYZ.astype(float).T, strict=True))
+    data["intensity"] = np.linspace(0, 1, COUNT)
+    if colors is not None:
+        data |= dict(zip(("colorRed", "colorGreen", "colorBlue"), colors.T.copy(), strict=True))
+    with pye57.E57(str(path), mode="w") as file:
+        file.write_scan_raw(data)
+
+
+def rows_of(*parts):
+    return [" ".join(map(repr, row)) for row in np.hstack([one for one in parts if one is not None]).tolist()]
+
+
+def obj(path, colors, normals):
+    pytest.importorskip("trimesh")
+    lines = [f"v {row}" for row in rows_of(XYZ, colors)]
+    path.write_text("\n".join(lines + ([] if normals is None else [f"vn {row}" for row in rows_of(normals)])) + "\n")
+
+
+def off(path, colors, normals):
+    pytest.importorskip("trimesh")
+    head = f"{'' if colors is None else 'C'}{'' if normals is None else 'N'}OFF"
+    path.write_text("\n".join([head, f"{COUNT} 0 0", *rows_of(XYZ, normals, colors), ""]))
+
+
+def gltf(path, colors, normals):
+    pytest.importorskip("trimesh")
+    given = {"POSITION": XYZ, "COLOR_0": colors, "NORMAL": normals}
+    given = {name: values for name, values in given.items() if values is not None}
+    types = {"f4": 5126, "u1": 5121, "u2": 5123}
+    sizes = [len(values.tobytes()) for values in given.values()]
+    data = base64.b64encode(b"".join(values.tobytes() for values in given.values())).decode()
+    tree = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"mode": 0, "attributes": dict(zip(given, range(3), strict=False))}]}],
+        "accessors": [
+            {"bufferView": place, "componentType": types[one.dtype.str[1:]], "count": COUNT, "type": "VEC3"}
+            for place, one in enumerate(given.values())
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": sum(sizes[:place]), "byteLength": size} for place, size in enumerate(sizes)
+        ],
+        "buffers": [{"byteLength": sum(sizes), "uri": f"data:application/octet-stream;base64,{data}"}],
+    }  # fmt: skip
+    path.write_text(json.dumps(tree))
+
+
+def typed(kind):
+    """The colours of a type; "u2 full" has 16 bits, "f8 unit" goes to 1."""
+    kind, _, scale = kind.partition(" ")
+    return (RGB * {"": 1.0, "full": 257.0, "unit": 1 / 255}[scale]).astype(kind)
+
+
+#: How a file is written, the types of its colours; those of its normals, if they are read.
+FILES = {
+    "a.npz": (npz, ("u1", "u2", "u2 full", ">u2", "i8", "f4 unit", "f8", "f4 full"), ("f4", "f8", ">f8")),
+    "a.las": (las, ("u2", "u2 full"), ("f4", "f8")),
+    "a.laz": (las, ("u2", "u2 full"), ("f4", "f8")),
+    "a.e57": (e57, ("u1",), ()),
+    "a.obj": (obj, ("f8", "f8 unit", "f8 full"), None),
+    "a.off": (off, ("f8", "f8 unit", "f8 full"), None),
+    "a.gltf": (gltf, ("u1", "u2 full", "f4 unit"), None),
+}
+
+
+def read_written(path, write, colors=None, normals=None):
+    write(path, colors, normals)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        made = read_cloud_file(path)
+    np.testing.assert_allclose(made.points, XYZ, atol=1e-6)
+    return made, [str(one.message) for one in told]
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_each_group_of_other_files(tmp_path, file):
+    write, colors, normals = FILES[file]
+    made, told = read_written(tmp_path / file, write)
+    assert (made.colors, made.normals, told) == (None, None, [])
+    for kind in colors:
+        made, told = read_written(tmp_path / file, write, typed(kind))
+        torch.testing.assert_close(made.colors, expected("colors", RGB), atol=1e-6, rtol=0)
+        assert made.normals is None
+        assert not told
+    for kind in normals or ():
+        made, told = read_written(tmp_path / file, write, None, UP.astype(kind))
+        torch.testing.assert_close(made.normals, expected("normals", UP), atol=1e-6, rtol=0)
+        assert made.colors is None
+        assert not told
+    if normals is None:
+        made, told = read_written(tmp_path / file, write, None, UP)
+        assert made.normals is None
+        assert "normals are not read" in told[0]
+
+
+@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("goes", ["colors", "normals"])
+def test_groups_with_nan(tmp_path, file, goes):
+    write, colors, normals = FILES[file]
+    kinds = [kind for kind in (colors if goes == "colors" else normals or ()) if kind.startswith("f")]
+    if not kinds or file == "a.gltf":
+        pytest.skip("has no NaN there")
+    values = np.array(RGB / 255 if goes == "colors" else UP, kinds[0].split()[0])
+    for which, message in (([4], f"1 of {COUNT} {goes} are NaN"), (slice(None), f"the {goes} are not read")):
+        values[which] = np.nan
+        made, told = read_written(tmp_path / file, write, **{goes: values})
+        if which == [4]:
+            assert bool(getattr(made, goes).isfinite().all())
+        else:
+            assert getattr(made, goes) is None
+        assert message in told[0]
+
+
+def test_other_arrays_of_an_archive(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, points=XYZ, labels=np.arange(COUNT), heat=XYZ)
+    with pytest.warns(UserWarning, match=r"a\.npz: heat: no position, normal or colour by these names; not read"):
+        read_cloud_file(path)
+    np.savez(path, points=(1000 * XYZ).astype(int), faces=np.array([[0, 1, 2]], "i4"))
+    made = read_cloud_file(path)
+    assert (made.points.dtype, made.faces.dtype) == (torch.float64, torch.int64)
+    for faces in ([[0, 1, COUNT]], [[0, 1, 2, 3]], [[0.0, 1.0, 2.0]]):
+        np.savez(path, points=XYZ, faces=np.array(faces))
+        with pytest.raises(ValueError, match=r"a\.npz: .*faces: expected rows of three of the 30 points"):
+            read_cloud_file(path)
+
+
+def test_other_dimensions_of_a_las(tmp_path):
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=2, file_version="1.2")
+    las.x, las.y, las.z = XYZ.astype(float).T
+    las.add_extra_dim(laspy.ExtraBytesParams("heat", "float32"))
+    las.write(tmp_path / "a.las")
+    with pytest.warns(UserWarning, match="heat: no position"):
+        assert read_cloud_file(tmp_path / "a.las").colors is None  # all are 0
+
+
+def test_other_fields_of_an_e57(tmp_path, monkeypatch):
+    e57(tmp_path / "a.e57", None, None)
+    kind = pytest.importorskip("pye57").E57
+    get_header = kind.get_header
+
+    def with_normals(file, index):
+        header = get_header(file, index)
+        header.point_fields = [*header.point_fields, "nor:normalX"]
+        return header
+
+    monkeypatch.setattr(kind, "get_header", with_normals)
+    with pytest.warns(UserWarning, match=r"a\.e57: scan 0: nor:normalX: no position"):
+        read_cloud_file(tmp_path / "a.e57")
+
+
+def test_colours_of_triangles_and_textures_are_told(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    lines = ["ply", "format ascii 1.0", "element vertex 3", *(f"property float {axis}" for axis in "xyz")]
+    lines += ["element face 1", "property list uchar int vertex_indices"]
+    body = ["0 0 1", "1 0 1", "0 1 1"]
+    for more, value in (
+        (["uchar red", "uchar green", "uchar blue"], "9 9 9"),
+        (["list uchar float texcoord"], "2 0 0"),
+    ):
+        whole = [*lines, *(f"property {one}" for one in more), "end_header", *body, f"3 0 1 2 {value}", ""]
+        (tmp_path / "a.ply").write_text("\n".join(whole))
+        with pytest.warns(UserWarning, match=r"a\.ply: .*colours of faces and textures are not read"):
+            read_cloud_file(tmp_path / "a.ply")
+    stl = bytearray(trimesh.Trimesh(XYZ, [[0, 1, 2]], process=False).export(file_type="stl"))
+    stl[-1] = 0x80  # VisCAM
+    (tmp_path / "a.stl").write_bytes(stl)
+    with pytest.warns(UserWarning, match=r"a\.stl: colours of triangles are not read"):
+        read_cloud_file(tmp_path / "a.stl")
+
+
+@pytest.mark.parametrize(("bad", "share"), [(np.inf, 1), (-np.inf, 1), (1e30, 1), (-9, 1), (-9, 20)])
+def test_colours_out_of_range(tmp_path, bad, share):
+    """They do not change the scale of the others."""
+    values = RGB.astype("f4")
+    values[4 : 4 + share] = bad
+    fields = dict(zip("xyz", XYZ.T, strict=True)) | dict(zip(("red", "green", "blue"), values.T, strict=True))
+    rest = "they are taken from the nearest points" if share == 1 else "the colors are not read"
+    with pytest.warns(UserWarning, match=rf"a\.ply: {share} of 30 colors are NaN or out of range; {rest}"):
+        colors = ply(tmp_path / "a.ply", fields).colors
+    assert (colors is None) == (share > 1)
+    if colors is not None:
+        torch.testing.assert_close(colors[5:], expected("colors", RGB)[5:])
+
+
+def test_splats_in_part(tmp_path):
+    dc = {f"f_dc_{place}": XYZ[:, 0] for place in range(3)}
+    with pytest.warns(UserWarning, match="f_dc_0, f_dc_1: no position"):
+        ply(tmp_path / "a.ply", dict(zip("xyz", XYZ.T, strict=True)) | {name: dc[name] for name in list(dc)[:2]})
+    with pytest.warns(UserWarning, match="opacity: no position"):
+        ply(tmp_path / "a.ply", dict(zip("xyz", XYZ.T, strict=True)) | {"opacity": XYZ[:, 0]})
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_packed_colours_with_nan(tmp_path, kind):
+    """Text has no bits of NaN, so a colour is lost there; it is no dark red."""
+    packed = (RGB.astype("u4") << np.array([16, 8, 0], "u4")).sum(1, dtype="u4")
+    values = packed.view("f4") if kind == "f4" else packed.astype("f8")
+    values[4] = np.nan
+    fields = dict(zip("xyz", XYZ.T, strict=True)) | {"rgb": values}
+    with pytest.warns(
+        UserWarning, match="1 of 30 colors are NaN or out of range; they are taken from the nearest points"
+    ):
+        read = read_cloud_file(write_pcd(tmp_path / "a.pcd", fields, data="ascii"))
+    rest = np.arange(COUNT) != 4
+    torch.testing.assert_close(read.colors[rest], expected("colors", RGB)[rest])
 
 
 @pytest.mark.parametrize("bare", [(), (1,), (0, 1)])

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import shutil
 import struct
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -16,7 +17,8 @@ from samples._parts import write_noise
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.datasets.fusion import fuse_cloud
+from torchjoint.datasets.fusion import fuse_cloud, fuse_or_recall
+from torchjoint.scene.frame import camera_center
 
 
 def without_pose(name, folder):
@@ -52,6 +54,38 @@ def test_they_are_told(name, tmp_path):
         scene = tj.load_scene(path, voxel_size=0.1)
     (message,) = [str(one.message) for one in told if "images have no pose" in str(one.message)]
     assert f"1 of {len(scene.frames) + 1} images" in message
+
+
+def test_tum_of_equal_times_and_unlisted_images(tmp_path):
+    path = samples.write("tum", tmp_path / "sample")
+    lines = (path / "rgb.txt").read_text().splitlines()
+    time, image = lines[-1].split()
+    shutil.copy(path / image, path / "rgb" / "9999.0.png")
+    shutil.copy(path / image, (path / image).with_name(f"9{Path(image).name}"))
+    (path / "rgb.txt").write_text("\n".join([*lines, f"{time} rgb/9999.0.png"]) + "\n")
+    with pytest.warns(UserWarning, match="left out") as told:
+        tj.load_scene(path, voxel_size=0.1)
+    told = [str(one.message) for one in told]
+    assert any("2 of " in one and "images have no pose and are left out" in one for one in told)
+
+
+def test_images_of_replica_are_in_the_order_of_their_numbers(tmp_path):
+    path = samples.write("replica", tmp_path / "sample")
+    first, *others = sorted((path / "results").glob("frame*.jpg"))
+    for file in others:
+        file.unlink()
+    pose = (path / "traj.txt").read_text().splitlines()[0].split()
+    lines = []
+    for number in range(11):
+        pose[3] = str(number)
+        lines.append(" ".join(pose))
+        shutil.copy(first, first.with_name(f"frame{number}.jpg"))
+    first.unlink()
+    (path / "traj.txt").write_text("\n".join(lines) + "\n")
+    write_cloud(path / "cloud.ply", torch.rand(9, 3))
+    frames = tj.load_scene(path).frames
+    assert [frame.name for frame in frames] == [f"frame{number}" for number in range(11)]
+    assert [round(float(camera_center(frame.world_to_camera)[0])) for frame in frames] == list(range(11))
 
 
 def test_ros(tmp_path):
@@ -135,8 +169,12 @@ def test_the_largest_of_several_models(tmp_path):
         assert tj.load_scene(path).points.min() == 1
 
 
-def test_frames_without_depth_among_others(scene_of):
+def test_frames_without_depth_among_others(scene_of, tmp_path, monkeypatch):
     frames = list(scene_of(3).scene.frames)
     frames[1] = dataclasses.replace(frames[1], depth=None)
     with pytest.warns(UserWarning, match=rf"depth: 1 of {len(frames)} frames have no depth image; the cloud is fused"):
         fuse_cloud(frames, 0.05)
+    monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
+    for _ in range(2):  # the second one comes from the cache
+        with pytest.warns(UserWarning, match=rf"depth: 1 of {len(frames)} frames have no depth image"):
+            fuse_or_recall(tmp_path, frames, 0.05, False)

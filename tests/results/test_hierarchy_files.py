@@ -62,9 +62,7 @@ def test_a_result_without_levels(tmp_path, scene):
     assert all(torch.equal(a, b) for a, b in zip(read.images, result.images, strict=True))
     assert read.hierarchy is None
     assert not (tmp_path / "out" / "pieces").exists()
-    with pytest.raises(
-        FileNotFoundError, match=r"hierarchy\.npz: missing; expected a result of point_segments\.method learned"
-    ):
+    with pytest.raises(FileNotFoundError, match=r"hierarchy\.npz: missing; expected a result with all levels"):
         read_hierarchy(tmp_path / "out", 6000)
 
 

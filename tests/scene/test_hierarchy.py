@@ -211,8 +211,12 @@ def test_finer_images_need_the_pieces():
     [
         ({"piece": BY_HAND.piece.int()}, TypeError, "piece: expected a torch.int64 tensor of 1 dimensions, got"),
         ({"piece": [0, 1]}, TypeError, "piece: expected a torch.int64 tensor of 1 dimensions, got list"),
-        ({"piece": torch.empty(0).long()}, ValueError, "piece: expected numbers >= 0, of which the first is 0"),
-        ({"piece": BY_HAND.piece - 1}, ValueError, "piece: expected numbers >= 0"),
+        (
+            {"piece": torch.empty(0).long()},
+            ValueError,
+            "piece: expected numbers >= 0, or -1 = none, of which the first is 0",
+        ),
+        ({"piece": BY_HAND.piece - 2}, ValueError, "piece: expected numbers >= 0"),
         ({"piece": torch.tensor([0, 2, 1, 3])}, ValueError, "piece: expected numbers by first appearance"),
         ({"merges": BY_HAND.merges[:2]}, ValueError, "merges: expected shape"),
         ({"merges": BY_HAND.merges.t()}, ValueError, "merges: expected shape"),

@@ -57,7 +57,7 @@ class TestMethods:
     def test_a_scan_asks_no_image(self, case):
         config, graph, state = case
         expected = segment_scan(graph.points, config.scan)
-        assert torch.equal(scan.segment(graph, state, config), expected)
+        assert torch.equal(scan.segment(graph, state, config).at(), expected)
         assert not torch.equal(segment_points(graph, state, config), expected)
 
     def test_labels_leave_no_number_out(self, case):

@@ -66,7 +66,7 @@ def export(
             back). coco, sam and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
             the format's suffix.
-        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); needs a result of method learned.
+        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); not with method paper.
         only_masked: only what the masks of the run show: segments that lie in masks with at least half of their pixels.
             The others are -1, or left out. Corrections by hand are not in it.
         overwrite: replace OUT.

@@ -13,7 +13,7 @@ from dataclasses import is_dataclass
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import version
-from inspect import cleandoc
+from inspect import cleandoc, signature
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, NamedTuple, NoReturn, get_args, get_origin, get_type_hints
@@ -87,20 +87,21 @@ def _name_values(owner: Any) -> None:
     """Names the values in the help of a function or dataclass: a path by its argument, as the text does: OUT."""
     import tyro
 
+    defaults = {name: parameter.default for name, parameter in signature(owner).parameters.items()}
     for name, hint in get_type_hints(owner, include_extras=True).items():
         kind, extras = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
         if is_dataclass(kind):
             _name_values(kind)
         parts = [one for one in get_args(kind) or (kind,) if one is not type(None)]
         is_named = any(getattr(extra, "metavar", None) for extra in extras)
-        may_be_none = isinstance(kind, UnionType)
-        if name == "return" or is_named or len(parts) != 1 or not (may_be_none or kind in (Path, bool)):
+        is_left_out = isinstance(kind, UnionType) and defaults.get(name) is None
+        if name == "return" or is_named or len(parts) != 1 or not (is_left_out or kind in (Path, bool)):
             continue
         words = [one.__name__.upper() for one in get_args(parts[0]) or parts if isinstance(one, type)]
         value = None if kind is bool else name.upper() if parts == [Path] else " ".join(words) or None
         hide = None if kind is Path else ""  # neither "(default: None)" nor "(default: False)"
         # A type or None would be tried as None, too, and a wrong value would be two errors.
-        made: Any = parts[0] if may_be_none and parts[0] in (Path, str, int, float) else None
+        made: Any = parts[0] if is_left_out and parts[0] in (Path, str, int, float) else None
         more = tyro.conf.arg(metavar=value, help_behavior_hint=hide, constructor=made)
         owner.__annotations__[name] = Annotated[hint, more]
 

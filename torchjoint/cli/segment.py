@@ -36,7 +36,7 @@ def segment(
 
     Args:
         scene: folder of frames; docs/your_data.md lists the layouts.
-        out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml; with method learned also
+        out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml; but for method paper also
             hierarchy.npz and pieces/. Default: SCENE-result in the current folder.
         parameters: parameters of the method.
         reading: how recordings are read.

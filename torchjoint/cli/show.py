@@ -56,7 +56,7 @@ def show(
     Args:
         out: folder that `torchjoint segment` wrote; or a .ply or .npz with labelled points of `torchjoint superpoints`.
         static: write this HTML file, which can be shared, instead of opening the page.
-        granularity: start with another level than OUT has, 0 (coarse) to 1 (fine); needs a result of method learned.
+        granularity: start with another level than OUT has, 0 (coarse) to 1 (fine); not with method paper.
         up: upward direction x y z in the coordinates of the cloud; default: from the poses and the largest level plane.
         truth: also offer the ground truth of the recording (Colour by: truth).
         host: address of the page; 127.0.0.1: only this machine can open it; 0.0.0.0: any machine can that knows the
@@ -78,7 +78,7 @@ def show(
     if granularity is not None:
         check_granularity(granularity, "--granularity")
         if result.hierarchy is None:
-            raise ValueError(f"--granularity: expected a result with levels (method learned), got {out} with one")
+            raise ValueError(f"--granularity: expected a result with levels, got {out} with one")
     if page is not None:
         _write_static(page, result, out if is_folder else None, granularity, direction)
     else:

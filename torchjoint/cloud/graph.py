@@ -66,7 +66,7 @@ class PointGraph:
     scales: Scales | None = None  #: noise and spacing, method learned only
     wide_normals: Tensor | None = None  #: [N, 3] unit length, fitted to `neighbors`, method learned only
     local: LocalFrame = field(default_factory=LocalFrame.of_world)  #: the coordinates of the points
-    #: [G] int64, the graph's point of each given point; nothing after step 3 renumbers points
+    #: [G] int64, the graph's point of each given point, -1 = none; nothing after step 3 renumbers points
     of_given: Tensor = field(default_factory=lambda: torch.empty(0, dtype=torch.int64))
 
     @cached_property

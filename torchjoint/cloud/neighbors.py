@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.ops.internal import ascending_order
 from torchjoint.runtime.threads import all_threads, num_threads
 
 Array = npt.NDArray[Any]
@@ -107,7 +106,7 @@ def order_along_space(points: Tensor) -> Tensor | None:
         for shift, kept in ((8, 0x00F00F), (4, 0x0C30C3), (2, 0x249249)):  # the bits move to every third place
             cell = (cell | cell << shift) & kept
         code |= cell << axis
-    return ascending_order(code.float())
+    return torch.argsort(code, stable=True).int()
 
 
 def _reach_farther(points: Tensor, near: Array, reach: float, indices: Array) -> None:

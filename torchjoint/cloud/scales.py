@@ -78,7 +78,7 @@ def low_quantile(values: Tensor) -> Tensor:
     torch.quantile takes eight times as long, because of its sort.
     """
     ascending = torch.from_numpy(np.sort(values.numpy(), axis=1))
-    rank = torch.tensor(NOISE_QUANTILE) * (values.shape[1] - 1)
+    rank = torch.tensor(NOISE_QUANTILE, dtype=torch.float32) * (values.shape[1] - 1)
     below = int(rank)
     return torch.lerp(ascending[:, below], ascending[:, math.ceil(rank)], rank - below)
 

@@ -179,7 +179,7 @@ class ScanConfig(Stage):
         too_high="low things, such as kerbs, boxes and animals, belong to the ground",
     )  # fmt: skip
     gap: float = parameter(
-        0.2, "points closer than this are joined; more joins objects that stand side by side", unit="m", low=0,
+        0.2, "gap inside things; more joins objects that stand side by side", unit="m", low=0,
         sensible="0.1-0.5",
         too_low="one car or tree is several segments",
         too_high="things that stand side by side, such as parked cars, are one segment",

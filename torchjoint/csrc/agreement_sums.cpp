@@ -155,8 +155,8 @@ struct Evidence {
 
 std::tuple<Tensor, Tensor, Tensor> agreement_sums(const Tensor& region, const Tensor& segment, const Tensor& num_points,
                                                   const Tensor& segment_size, const Tensor& frame_of_segment,
-                                                  int64_t num_regions, const Tensor& pairs,
-                                                  int64_t min_points, double resolution) {
+                                                  int64_t num_regions, const Tensor& pairs, int64_t min_points,
+                                                  double resolution) {
   const Tensor regions_of_rows = checked_array(region, ScalarType::Int, {-1}, "region");
   const int64_t num_rows = regions_of_rows.size(0);
   const Tensor of_rows = checked_array(segment, ScalarType::Int, {num_rows}, "segment");

@@ -231,9 +231,9 @@ std::vector<Views> read_views(const Tensor& in_mask, const Tensor& in_frame, con
 }
 
 std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& cost, const Tensor& count,
-                                       const Tensor& size, const Tensor& in_mask, const Tensor& in_frame, const Tensor& weight,
-                                       const Tensor& frame_of_mask, double apart_weight, double prior_weight,
-                                       double threshold, const Tensor& stays, int64_t min_size) {
+                                       const Tensor& size, const Tensor& in_mask, const Tensor& in_frame,
+                                       const Tensor& weight, const Tensor& frame_of_mask, double apart_weight,
+                                       double prior_weight, double threshold, const Tensor& stays, int64_t min_size) {
   const Tensor edges = checked_edge_index(edge_index);
   const int64_t num_edges = edges.size(1);
   const Tensor costs = checked_array(cost, ScalarType::Float, {num_edges}, "cost");

@@ -58,7 +58,7 @@ class Merging {
         const int32_t* const region = regions.member.data() + regions.start[b];
         const int64_t num_inside = regions.start[b + 1] - regions.start[b];
         for (int64_t i = 0; i < num_inside; ++i) number[region[i]] = static_cast<int32_t>(i);
-        RegionAdjacencyGraph graph(num_inside, inside.start[b + 1] - inside.start[b]);
+        RegionAdjacencyGraph graph(num_inside);
         for (int64_t i = inside.start[b]; i < inside.start[b + 1]; ++i) {
           const int64_t e = inside.member[i];
           graph.add(number[first(e)], number[second(e)], cost_[e]);
@@ -84,7 +84,7 @@ class Merging {
     const auto is_small = [&](const RegionBoundary& border) {
       return small[border.region[0]] || small[border.region[1]];
     };
-    RegionAdjacencyGraph graph(num_groups, std::min(num_edges_, 8 * num_groups));  // most boundaries have several edges
+    RegionAdjacencyGraph graph(num_groups);
     for (int64_t e = 0; e < num_edges_; ++e) {
       const int32_t a = group[first(e)], b = group[second(e)];
       if (a != b && (small[a] || small[b])) graph.add(a, b, cost_[e]);

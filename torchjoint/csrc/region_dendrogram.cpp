@@ -16,7 +16,7 @@ std::tuple<Tensor, Tensor> region_dendrogram(const Tensor& edge_index, const Ten
 
   const Tensor counts = checked_counts(count, num_edges);
   const int64_t* const end = edges.const_data_ptr<int64_t>();
-  RegionAdjacencyGraph graph(num_regions, num_edges);
+  RegionAdjacencyGraph graph(num_regions);
   for (int64_t e = 0; e < num_edges; ++e) {
     const double whole = checked_cost(end, costs.const_data_ptr<float>(), num_edges, num_regions, e);
     const int32_t a = static_cast<int32_t>(end[e]), b = static_cast<int32_t>(end[num_edges + e]);

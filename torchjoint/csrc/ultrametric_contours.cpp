@@ -127,7 +127,7 @@ Tensor ultrametric_contours(const Tensor& boundary, const Tensor& relief) {
   }
 
   const std::vector<int32_t> region = basins(reliefs.const_data_ptr<float>(), grid);
-  RegionAdjacencyGraph graph(num_pixels == 0 ? 0 : 1 + *std::max_element(region.begin(), region.end()), num_pixels);
+  RegionAdjacencyGraph graph(num_pixels == 0 ? 0 : 1 + *std::max_element(region.begin(), region.end()));
   std::vector<int32_t> border;  // region boundary of each pair of pixels in two different regions
   grid.for_each_pair([&](int64_t a, int64_t b) {
     if (region[a] != region[b]) border.push_back(graph.add(region[a], region[b], std::max(level[a], level[b])));

@@ -20,7 +20,6 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.datasets.volume import Volume
 from torchjoint.runtime.files import cache_folder
-from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
 from torchjoint.scene.frame import camera_center
@@ -48,8 +47,6 @@ def _lost_if_interrupted() -> Iterator[None]:
         raise KeyboardInterrupt("the cloud was being fused from depth; the next run fuses it from the start") from stop
 
 
-@_lost_if_interrupted()
-@one_thread_per_operation()
 def fuse_cloud(
     frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool | None = False
 ) -> tuple[Tensor, Tensor]:
@@ -72,6 +69,22 @@ def fuse_cloud(
         PoseWarning: the poses do not fit, and another convention does.
         UserWarning: some frames have no depth.
     """
+    points, colors, without = _fused(frames, voxel_size, progress)
+    _tell_without_depth(without, len(frames))
+    return points, colors
+
+
+def _tell_without_depth(without: int, total: int) -> None:
+    if without:
+        warnings.warn(
+            f"depth: {without} of {total} frames have no depth image; the cloud is fused from the others", stacklevel=3
+        )
+
+
+@_lost_if_interrupted()
+@one_thread_per_operation()
+def _fused(frames: Sequence[Frame], voxel_size: float, progress: bool | None) -> tuple[Tensor, Tensor, int]:
+    """As :func:`fuse_cloud`, without its warning of frames without depth; and their number."""
     if not 1e-4 <= voxel_size <= 10:
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
     check_unit(frames)
@@ -89,16 +102,10 @@ def fuse_cloud(
         add_frame(volume, frame, origin)
     if fused == 0:
         raise ValueError("frames: none has a depth image, and there is no cloud.ply: there is no cloud to segment")
-    if fused < len(frames):
-        warnings.warn(
-            f"depth: {len(frames) - fused} of {len(frames)} frames have no depth image; the cloud is fused from the "
-            "others",
-            stacklevel=2,
-        )
     points, colors = surface_cloud(volume, origin)
     if len(points) == 0:
         raise ValueError(f"depth: the {fused} depth images give no surface; wrong poses?")
-    return points, colors
+    return points, colors, len(frames) - fused
 
 
 def add_frame(volume: Volume, frame: Frame, origin: Tensor) -> Tensor:
@@ -160,24 +167,28 @@ def fuse_or_recall(
         points [N, 3] metres and colours [N, 3] in [0, 1]; the same with and without the cache.
     """
     file = _file(path, voxel_size, how)
-    if file is not None and has_file(file):
+    for cached in file.parent.glob(f"{file.name}-*.ply") if file is not None else ():
         try:
-            return read_cloud_file(file)[:2]
+            points, colors = read_cloud_file(cached)[:2]
         except ValueError:
-            pass  # a damaged file is written anew
-    points, colors = fuse_cloud(frames, voxel_size, progress=progress)
+            break  # a damaged file is written anew
+        _tell_without_depth(int(cached.stem.rpartition("-")[2]), len(frames))
+        return points, colors
+    points, colors, without = _fused(frames, voxel_size, progress)
+    _tell_without_depth(without, len(frames))
     if file is not None:
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
-            write_cloud(file, points, colors)
+            write_cloud(file.with_name(f"{file.name}-{without}.ply"), points, colors)
         except OSError:
             pass  # the disk is full, or there is no permission: the cloud is fused again next time
     return points, colors
 
 
 def _file(path: Path, voxel_size: float, how: str) -> Path | None:
+    """Where the cloud is in the cache, without the end of its name: `-`, and the number of frames without depth."""
     folder = cache_folder()
     if folder is None:
         return None
     key = repr((fingerprint(path), float(voxel_size), version("torchjoint"), how))
-    return folder / "clouds" / f"{hashlib.sha256(key.encode()).hexdigest()}.ply"
+    return folder / "clouds" / f"{hashlib.sha256(key.encode()).hexdigest()}"

@@ -97,11 +97,12 @@ def tell_left_out(name: str, left: int, total: int, why: str = "have no pose") -
         warnings.warn(f"{name}: {left} of {total} images {why} and are left out", stacklevel=4)
 
 
-def tell_unlisted(name: str, files: Sequence[Path]) -> None:
+def tell_unlisted(name: str, files: Sequence[Path], left: int = 0, why: str = "") -> None:
     """Warns of images beside those with a pose, `files`, which a list of poses does not name: they are left out.
 
-    An image is one of theirs if it differs in its number only.
+    An image is one of theirs if it differs in its number only. If `left` of the files have no pose, this is told, too.
     """
+    tell_left_out(name, left, len(files), why)
     kinds = {(file.parent, _without_number(file)) for file in files}
     folders, used = {file.parent for file in files}, set(files)
     beside = {one for folder in folders for one in folder.iterdir() if (folder, _without_number(one)) in kinds}

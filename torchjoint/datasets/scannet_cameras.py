@@ -66,13 +66,15 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
     color = folder / "intrinsic" / "intrinsic_color.txt"
     if has_file(color):
         depth = color.with_name("intrinsic_depth.txt")
-        of_color = _read_calibration(color)
-        return Cameras(of_color, _read_calibration(depth) if has_file(depth) else of_color)
+        of_color = read_calibration(color)
+        return Cameras(of_color, read_calibration(depth) if has_file(depth) else of_color)
     return _read_info(info) if has_file(info) else None
 
 
-def _read_calibration(file: Path) -> Calibration:
-    matrix = as_intrinsics(read_matrix(file, (4, 4))[:3, :3], str(file))
+def read_calibration(file: Path) -> Calibration:
+    """Reads a file of 4x4 or 3x3 numbers."""
+    side = 3 if len(read_text(file, "a description", errors="replace").replace(",", " ").split()) == 9 else 4
+    matrix = as_intrinsics(read_matrix(file, (side, side))[:3, :3], str(file))
     return Calibration(matrix, (COLOR_SIZE, DEPTH_SIZE), is_certain=False)
 
 

@@ -15,7 +15,7 @@ from torchjoint.cloud.graph import PointGraph
 from torchjoint.config import Config
 from torchjoint.labels.image_labels import label_images
 from torchjoint.labels.piece_images import piece_images
-from torchjoint.runtime.groups import numbers_by_first_place
+from torchjoint.runtime.groups import numbers_by_first_place, with_none
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Hierarchy, Segmentation
@@ -26,7 +26,7 @@ from torchjoint.views.evidence import Evidence
 class PointLabels(NamedTuple):
     """The segments of the points."""
 
-    given: Tensor  #: [G] int64, labels of the given points, numbered by first appearance
+    given: Tensor  #: [G] int64, labels of the given points, numbered by first appearance; -1 = none
     of_graph: Tensor  #: [N] int64, the same segments of the graph's points, with numbers of their own
     number: Tensor  #: [S] int64, the number in `given` of each segment in `of_graph`
 
@@ -34,8 +34,9 @@ class PointLabels(NamedTuple):
 def label_points(tree: Tensor | Hierarchy, graph: PointGraph) -> PointLabels:
     """The labels at the default level of what step 6 found."""
     of_graph = tree if isinstance(tree, Tensor) else tree.at()
-    number = numbers_by_first_place(of_graph[graph.of_given], int(of_graph.max()) + 1)
-    return PointLabels(number[of_graph][graph.of_given], of_graph, number)
+    given = with_none(of_graph)[graph.of_given]
+    number = numbers_by_first_place(given[given >= 0], int(of_graph.max()) + 1)
+    return PointLabels(with_none(number)[given], of_graph, number)
 
 
 def label(

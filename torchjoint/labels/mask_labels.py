@@ -149,7 +149,7 @@ def _winners(part: Tensor, label: Tensor, num_parts: int, shown: _Shown) -> _Win
     winner = torch.where(num_points > 0, winner, -1)
 
     is_one = most >= ONE_OBJECT * num_points
-    all_points, in_one_mask = (torch.cat([values, torch.ones(1)])[winner] for values in shown)
+    all_points, in_one_mask = (torch.cat([values, values.new_ones(1)])[winner] for values in shown)
     is_small = most < torch.where(is_one, LEAST_PART, LEAST_PART_OF_SEVERAL) * all_points
     foreign = (num_points > 0) & is_small & (in_one_mask >= WHOLE * (all_points - most))
     decides = (num_points >= MIN_POINTS) & is_one & ~foreign

@@ -129,14 +129,6 @@ def line_maxima(
 # Step 6, method learned
 
 
-def ascending_order(values: Tensor) -> Tensor:
-    """Sort ``[C]`` float32 values in linear time; returns their places in ascending order, ``[C]`` int32.
-
-    Like a stable sort: equal values keep their order, -0 equals 0, NaN comes last.
-    """
-    return cast(Tensor, call(torch.ops.torchjoint.ascending_order.default, values))
-
-
 def boosted_trees(
     values: Tensor, feature: Tensor, threshold: Tensor, missing_left: Tensor, left: Tensor, right: Tensor,
     leaf_value: Tensor,
@@ -462,7 +454,6 @@ register_fakes(
     structured_forest=lambda images, *_: images.new_empty(images[:, 0].shape),
     window_overlaps=lambda order, *_: _edges_in_image(order, torch.float64),
     line_maxima=lambda order, *_: _edges_in_image(order, torch.uint8),
-    ascending_order=lambda values: values.new_empty(values.shape, dtype=torch.int32),
     boosted_trees=lambda values, *_: values.new_empty(len(values), dtype=torch.float64),
     agreement_sums=lambda *seen: _agreement_sums(seen[5], seen[6]),
     region_planes=lambda points, *_: (points.new_empty(points.shape), points.new_empty(points.shape)),

@@ -66,7 +66,7 @@ def neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     Args:
         neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point.
         order: ``[N]`` int32, a permutation: the order in which rows are processed; the result does not depend on it.
-            For a large cloud in random order, a spatial one (:func:`ascending_order` of its cells) is much faster.
+            For a large cloud in random order, a spatial one is much faster.
             Default: 0, 1, ...
 
     Returns:
@@ -99,7 +99,7 @@ def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) 
         points: ``[N, 3]`` float32 or float64, finite.
         neighbors: ``[N, K]`` int32 or int64, N < 2^31: the neighbours of each point, without the point itself.
         order: ``[N]`` int32, a permutation: the order in which rows are processed; the result does not depend on it.
-            For a large cloud in random order, a spatial one (:func:`ascending_order` of its cells) is much faster.
+            For a large cloud in random order, a spatial one is much faster.
             Default: 0, 1, ...
 
     Returns:

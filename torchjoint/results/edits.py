@@ -46,7 +46,7 @@ def split(table: SplitTable, pieces: tuple[int, ...], hierarchy: Hierarchy | Non
         [P] the table after the split; the part without the segment's first piece is the new segment.
     """
     if hierarchy is None:
-        raise ValueError("split: expected a hierarchy, got none; only point_segments.method learned makes one")
+        raise ValueError("split: expected a hierarchy, got none; point_segments.method paper makes none")
     inside = table == table[pieces[0]]
     merges, heights = hierarchy.merges.numpy(), hierarchy.heights.numpy()
     own = np.nonzero(inside[merges].all(axis=1))[0]

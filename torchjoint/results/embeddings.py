@@ -201,7 +201,7 @@ class Embeddings:
         if torch.equal(labels, self.labels):
             return self
         segment, row, points = _shared(labels, self.labels)
-        sums = torch.zeros(int(labels.max()) + 1, self.vectors.shape[1])
+        sums = self.vectors.new_zeros(int(labels.max()) + 1, self.vectors.shape[1])
         sums.index_add_(0, segment, self.vectors[row] * points[:, None])
         return Embeddings(functional.normalize(sums, dim=1), labels)
 
@@ -290,7 +290,7 @@ def embed(
             images = torch.stack([image for crop in crops for image in _inputs(crop, size)])
             vectors[record.id] = _mean_vector(encoder, images)
     dimension = next((len(vector) for vector in vectors.values()), 0)
-    zeros = torch.zeros(dimension)
+    zeros = torch.zeros(dimension, dtype=torch.float32)
     found = [vectors.get(segment, zeros) for segment in range(result.num_point_segments)]
     return Embeddings(torch.stack(found), result.points)
 

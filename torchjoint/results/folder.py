@@ -109,7 +109,7 @@ def write_result(
     _remove_earlier(folder)
     # Each part below uses all label images: they are computed once, and kept packed.
     packed = parallel_map(lambda index: pack(result.images[index]), range(len(result.images)))
-    result = replace(result, images=LabelImages(packed))
+    result, scene = replace(result, images=LabelImages(packed)).labelled(scene)
     write_cloud(folder / "points.ply", scene.points, label_colors(result.points), result.points)
     arrays = {"points": scene.points, "labels": result.points} | (
         {} if scene.colors is None else {"colors": scene.colors}

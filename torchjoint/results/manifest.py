@@ -153,7 +153,7 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
     file = folder / HIERARCHY
     if not has_file(file):
         raise FileNotFoundError(
-            f"{file}: missing; expected a result of point_segments.method learned: only this method makes all levels"
+            f"{file}: missing; expected a result with all levels; point_segments.method paper makes one"
         )
     with damage_is(f"{file}: not a whole hierarchy", OSError):
         arrays = read_archive(file)

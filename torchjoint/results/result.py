@@ -40,6 +40,8 @@ class Result(Segmentation):
     def of(cls, segmentation: Segmentation, scene: Scene, config: Config | None = None) -> Result:
         """The result of a run in memory: ``Result.of(segmenter(scene), scene)``.
 
+        Points that have no level, beams without return, are left out.
+
         Raises:
             ValueError: the scene has another number of points or frames.
         """
@@ -49,6 +51,8 @@ class Result(Segmentation):
             raise ValueError(
                 f"scene: expected {expected[0]} points and {expected[1]} frames, got {got[0]} and {got[1]}"
             )
+        if segmentation.hierarchy is not None:
+            segmentation, scene = segmentation.labelled(scene)
         values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
         return cls(**values, scene=scene, config=config)
 

@@ -29,6 +29,15 @@ def numbers_by_first_place(group: Tensor, count: int) -> Tensor:
     return number
 
 
+def with_none(table: Tensor) -> Tensor:
+    """A table with one entry more, -1: that of index -1.
+
+    >>> with_none(torch.tensor([5, 7]))[torch.tensor([1, -1, 0])]
+    tensor([ 7, -1,  5])
+    """
+    return torch.cat([table, table.new_full((1,), -1)])
+
+
 def most_frequent(value: Tensor, group: Tensor, count: Tensor) -> Tensor:
     """The value that occurs most often in each of the groups 0 ... G - 1; of equally frequent ones the lowest.
 

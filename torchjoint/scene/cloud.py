@@ -73,9 +73,12 @@ def full_brightness(largest: float, most: int | None = None) -> float:
 
     >>> full_brightness(200, 65535), full_brightness(40000, 65535), full_brightness(200.0), full_brightness(0.9)
     (255, 65535, 255, 1)
+    >>> full_brightness(40000.0)
+    65535
     """
-    if most is None:
-        return 1 if largest < 2 else 255
+    if most is None and largest < 2:
+        return 1
+    most = most or 65535
     wide = min(65535, most)
     return 255 if largest <= 255 else wide if largest <= wide else most
 

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.runtime.groups import numbers_by_first_place
+from torchjoint.runtime.groups import numbers_by_first_place, with_none
 from torchjoint.runtime.threads import one_thread_per_operation
 
 #: Log odds that a segment is an object: an offset; a factor of the mean IoU with the judges' segments; and a factor of
@@ -95,10 +95,12 @@ class Hierarchy:
     lies inside one segment of each coarser level.
 
     Attributes:
-        piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance.
+        piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance; -1 = none, as of beams without
+            return.
         merges: [M, 2] int64, M < P: two pieces; a merge joins the two segments that contain them.
         heights: [M] float64 in [0, 1]: up to what probability of a boundary regions must merge, until most judges have
-            the two segments together. It is at least the height of each merge inside them.
+            the two segments together; of a LiDAR scan, how large a gap joins them. It is at least the height of each
+            merge inside them.
         default: height of the default level.
         votes: the segments of each judge at the default level; None: there were no judges.
 
@@ -125,9 +127,10 @@ class Hierarchy:
             if not isinstance(tensor, Tensor) or tensor.dtype != dtype or tensor.dim() != dimensions:
                 got = f"{tensor.dtype} {list(tensor.shape)}" if isinstance(tensor, Tensor) else type(tensor).__name__
                 raise TypeError(f"{name}: expected a {dtype} tensor of {dimensions} dimensions, got {got}")
-        if not len(self.piece) or int(self.piece[0]) != 0 or int(self.piece.min()) < 0:
-            raise ValueError("piece: expected numbers >= 0, of which the first is 0")
-        if (self.piece[1:] > self.piece.cummax(0).values[:-1] + 1).any():
+        known = self.piece[self.piece != -1]
+        if not len(known) or int(known[0]) != 0 or int(known.min()) < 0:
+            raise ValueError("piece: expected numbers >= 0, or -1 = none, of which the first is 0")
+        if (known[1:] > known.cummax(0).values[:-1] + 1).any():
             raise ValueError("piece: expected numbers by first appearance, 0, 1, ... without gaps")
         if self.merges.shape != (len(self.heights), 2) or len(self.heights) >= self.num_pieces:
             raise ValueError(
@@ -184,7 +187,7 @@ class Hierarchy:
     @one_thread_per_operation()
     def cut(self, height: float) -> Tensor:
         """Labels [N] int64 after all merges up to a height, numbered by first appearance."""
-        return self.segments_of_pieces(height)[self.piece]
+        return with_none(self.segments_of_pieces(height))[self.piece]
 
     def at(self, granularity: float = 0.5) -> Tensor:
         """Labels [N] int64 of a level, numbered by first appearance.
@@ -203,7 +206,7 @@ class Hierarchy:
         """The same hierarchy for K other points; each takes the piece of one of the N points.
 
         Args:
-            of_point: [K] int64, for each new point, one of the N points. Every piece must occur.
+            of_point: [K] int64, for each new point, one of the N points; -1 = none. Every piece must occur.
 
         Returns:
             the hierarchy of the K points, with its pieces numbered by first appearance among them; and [P] int64, the
@@ -212,12 +215,13 @@ class Hierarchy:
         Raises:
             ValueError: a piece does not occur.
         """
-        piece = self.piece[of_point]
-        if (torch.bincount(piece, minlength=self.num_pieces) == 0).any():
+        piece = with_none(self.piece)[of_point]
+        known = piece[piece >= 0]
+        if (torch.bincount(known, minlength=self.num_pieces) == 0).any():
             raise ValueError(f"of_point: expected points of all {self.num_pieces} pieces")
-        number = numbers_by_first_place(piece, self.num_pieces)
+        number = numbers_by_first_place(known, self.num_pieces)
         votes = None if self.votes is None else self.votes.renumbered(number)
-        return replace(self, piece=number[piece], merges=number[self.merges], votes=votes), number
+        return replace(self, piece=with_none(number)[piece], merges=number[self.merges], votes=votes), number
 
 
 def check_granularity(granularity: float, name: str = "granularity") -> None:

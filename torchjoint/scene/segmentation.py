@@ -10,9 +10,11 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.groups import with_none
 from torchjoint.runtime.store import Packed, pack
 from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene.hierarchy import Confidence, Hierarchy
+from torchjoint.scene.scene import Scene
 
 
 def level_images(
@@ -74,14 +76,15 @@ class Segmentation:
     """Labels of points and pixels in one id space: the same id means the same object everywhere.
 
     Attributes:
-        points: [N] int64. Ids 0 ... num_point_segments - 1, numbered by first appearance in the cloud.
+        points: [N] int64. Ids 0 ... num_point_segments - 1, numbered by first appearance in the cloud; -1 = none: beams
+            without return (many points at (0, 0, 0)).
         images: a sequence of [H, W] int64, one per frame; -1 = none. An id >= num_point_segments is an image segment
             without visible points; such an id occurs in one image only.
         initial_images: the initial image segmentations, [H, W] int64 (each frame has its own ids).
         names: the frames' names, in order.
         seconds: seconds per stage, added up over threads.
-        hierarchy: all levels of the segmentation, from which :meth:`at` chooses; None if the method makes none. Only
-            method learned makes one.
+        hierarchy: all levels of the segmentation, from which :meth:`at` chooses; None if the method makes none, as
+            method paper.
         piece_images: with a hierarchy, a sequence of [H, W] int64, one per frame: the piece of the hierarchy in each
             pixel of a 3D segment, else -1. Each image is computed at its first use, so the segmentation keeps the
             frames' observations.
@@ -121,19 +124,27 @@ class Segmentation:
         """How sure the label of each point is, [N] float64 in [0, 1]; None: as :attr:`confidence`.
 
         It is the probability that the point's segment is an object, times the share of the judges that put the point
-        there.
+        there; 0 of points without a label.
         """
         if self._confidence is None or self.hierarchy is None:
             return None
-        return self._confidence.of_piece[self.hierarchy.piece]
+        return with_none(self._confidence.of_piece)[self.hierarchy.piece].clamp(min=0)
 
     @cached_property
     def _confidence(self) -> Confidence | None:
         if self.hierarchy is None or self.hierarchy.votes is None:
             return None
-        of_piece = torch.zeros(self.hierarchy.num_pieces, dtype=torch.int64)
+        of_piece = torch.zeros(self.hierarchy.num_pieces + 1, dtype=torch.int64)  # the last one: -1
         of_piece[self.hierarchy.piece] = self.points
-        return self.hierarchy.votes.confidence(of_piece)
+        return self.hierarchy.votes.confidence(of_piece[:-1])
+
+    def labelled(self, scene: Scene) -> tuple[Self, Scene]:
+        """The same of the points that have a label, and the scene with only these."""
+        keep = self.points >= 0
+        if bool(keep.all()):
+            return self, scene
+        levels = self.hierarchy and replace(self.hierarchy, piece=self.hierarchy.piece[keep])
+        return replace(self, points=self.points[keep], hierarchy=levels), scene.select_points(keep)
 
     @one_thread_per_operation()
     def at(self, granularity: float = 0.5) -> Self:
@@ -155,11 +166,10 @@ class Segmentation:
         """
         if self.hierarchy is None:
             raise ValueError(
-                "hierarchy: expected a segmentation with levels, got one level; only point_segments.method learned "
-                "makes a hierarchy"
+                "hierarchy: expected a segmentation with levels, got one level, as of point_segments.method paper"
             )
         of_piece = self.hierarchy.segments_of_pieces(self.hierarchy.height_of(granularity))
-        points = of_piece[self.hierarchy.piece]
+        points = with_none(of_piece)[self.hierarchy.piece]
         images: Sequence[Tensor] = ()
         if len(self.images):
             images = self._images_at(of_piece, points)
@@ -167,10 +177,10 @@ class Segmentation:
 
     def _images_at(self, of_piece: Tensor, points: Tensor) -> Sequence[Tensor]:
         num_before, num_after = self.num_point_segments, int(of_piece.max()) + 1
-        of_segment = torch.zeros(num_before, dtype=torch.int64)
+        of_segment = torch.zeros(num_before + 1, dtype=torch.int64)  # the last one: -1
         of_segment[self.points] = points
         if torch.equal(of_segment[self.points], points):  # not finer: each segment lies inside one new segment
-            return level_images(self.images, num_before, of_segment, num_after)
+            return level_images(self.images, num_before, of_segment[:-1], num_after)
         if len(self.piece_images) != len(self.images):
             raise ValueError(
                 f"piece_images: expected one for each of {len(self.images)} images (finer levels need them), got "

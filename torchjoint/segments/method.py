@@ -48,9 +48,9 @@ PAPER = Method("paper", paper.prepare, paper.segment)
 def scan_method(signs: ScanSigns | None = None) -> Method:
     """Method scan; `signs`: what was found in the cloud, None: it is looked for when it is needed."""
     if signs is None:
-        return Method("scan", scan.prepare, scan.segment, scan.measured, uses_images=False)
+        return Method("scan", scan.prepare, scan.segment, scan.measured, uses_images=False, has_levels=True)
     segment = partial(scan.segment, rings=signs.rings)
-    return Method("scan", scan.prepare, segment, partial(_known, signs), uses_images=False)
+    return Method("scan", scan.prepare, segment, partial(_known, signs), uses_images=False, has_levels=True)
 
 
 def _known(signs: ScanSigns, _: PointGraph) -> str:

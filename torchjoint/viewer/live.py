@@ -20,6 +20,7 @@ from torchjoint.results.loading import load_result
 from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction
+from torchjoint.runtime.groups import with_none
 from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.viewer.app import Viewer
@@ -154,7 +155,7 @@ def labels_so_far(
         labels = label_points(tree, segmenter.graph)
         number = torch.arange(int(labels.given.max()) + 1)
         if before is not None:
-            number = kept_numbers(labels.given, before)
+            number = kept_numbers(labels.given[labels.given >= 0], before)
     of_own = number[labels.number]
     seen, sizes = segmenter.state.observations[:], torch.bincount(labels.of_graph)  # a copy: frames may be added
 
@@ -166,7 +167,7 @@ def labels_so_far(
             own = label_image(seen[index], labels.of_graph, sizes, segmenter.config)[0].long()
         return torch.where((own >= 0) & (own < len(of_own)), of_own[own.clamp(0, len(of_own) - 1)], -1)
 
-    return Segmentation(number[labels.given], LazySequence(len(scene.frames), image), names=names)
+    return Segmentation(with_none(number)[labels.given], LazySequence(len(scene.frames), image), names=names)
 
 
 def kept_numbers(labels: Tensor, before: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any, NamedTuple
@@ -26,10 +27,12 @@ from torchjoint.metrics import scannet_average_precision, segmentation_covering
 from torchjoint.runtime.files import atomic_write, write_text
 from torchjoint.scene import Scene
 from torchjoint.scene.frame import PoseWarning
+from torchjoint.segments.method import Method, scan_method
+from torchjoint.segments.scan import method as scan
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.methods import METHODS
-from torchjoint_lab.benchmark.real_scenes import LIDAR, LabelledScene, RealScene, with_masks
+from torchjoint_lab.benchmark.real_scenes import LIDAR, LabelledScene, RealScene, model_without, with_masks
 from torchjoint_lab.benchmark.robustness import BATCH, NOISE
 from torchjoint_lab.benchmark.space import Setting, draw
 from torchjoint_lab.evaluation.partial_truth import judge
@@ -50,20 +53,29 @@ Record = Mapping[str, float]
 Results = dict[RealScene, list[Record]]
 
 
-def measure(scenes: Sequence[RealScene], runs: int, folder: Path) -> Iterator[Results]:
-    """Yields the default's results, scene by scene; runs with a file in the folder are not computed again."""
+def measure(scenes: Sequence[RealScene], runs: int, folder: Path, scan_models: Path | None = None) -> Iterator[Results]:
+    """Yields the default's results, scene by scene; runs with a file in the folder are not computed again.
+
+    With `scan_models`, the folder of `torchjoint-lab train-scan-model`, no scan is judged by a model of its sensor.
+    """
     with tqdm(total=len(scenes) * runs, unit="run") as bar:
         for one in scenes:
-            yield {one: list(_of_scene(one, runs, folder, bar.update))}
+            method = None
+            if scan_models and one.is_scan:
+                segment_it = partial(scan.segment, model=scan_models / model_without(one.set))
+                method = scan_method()._replace(segment=segment_it)
+            yield {one: list(_of_scene(one, runs, folder, method, bar.update))}
 
 
-def _of_scene(one: RealScene, runs: int, folder: Path, tell: Callable[[], object]) -> Iterator[Record]:
+def _of_scene(
+    one: RealScene, runs: int, folder: Path, method: Method | None, tell: Callable[[], object]
+) -> Iterator[Record]:
     labelled: LabelledScene | None = None
     for run in range(runs):
         path = folder / f"{one.name}.{run}.json"
         if not path.is_file():
             labelled = labelled or one.load()
-            labels, confidence = segment(as_given(one, labelled, run))
+            labels, confidence = segment(as_given(one, labelled, run), method)
             first = labels_of_first(one, folder)
             if run == 0:
                 with atomic_write(first) as partial:
@@ -89,9 +101,9 @@ def as_given(one: RealScene, labelled: LabelledScene, run: int) -> Scene:
     return replace(scene, points=moved(scene.points, noise, torch.Generator().manual_seed(run)), truth=None)
 
 
-def segment(scene: Scene) -> tuple[Tensor, Tensor | None]:
+def segment(scene: Scene, method: Method | None = None) -> tuple[Tensor, Tensor | None]:
     """The default's labels [N], and the confidence of each segment, if it has one."""
-    segmenter = JointSegmenter()
+    segmenter = JointSegmenter(method=method)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PoseWarning)
         segmenter.reset(scene.points, scene.colors, scene.normals)

@@ -41,6 +41,14 @@ MASKS = {
 MASKED = ("shelf", "ycb")
 LIDAR = ("kitti", "semantickitti", "vod", "argo", "nuscenes")
 
+#: KITTI and SemanticKITTI are one sensor, on one car.
+SAME_SENSOR = {"semantickitti": "kitti"}
+
+
+def model_without(name: str) -> str:
+    """The file of the scan model that has not seen the sensor of a set."""
+    return f"without-{SAME_SENSOR.get(name, name)}.npz"
+
 
 class LabelledScene(NamedTuple):
     """A scene and what is known about its points."""

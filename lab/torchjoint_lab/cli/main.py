@@ -18,6 +18,9 @@ COMMANDS = {
     "train-boundary-model": Command(
         "torchjoint_lab.cli.train_boundary_model:train_boundary_model", "trains the model of step 6, method learned"
     ),
+    "train-scan-model": Command(
+        "torchjoint_lab.cli.train_scan_model:train_scan_model", "trains the model of step 6, method scan"
+    ),
     "evaluate-boundaries": Command(
         "torchjoint_lab.cli.evaluate_boundaries:evaluate_boundaries", "scores boundaries of images on BSDS500"
     ),

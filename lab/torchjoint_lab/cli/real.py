@@ -23,6 +23,7 @@ def real(
     sets: tuple[str, ...] = (),
     runs: int = 4,
     rivals: int = 0,
+    scan_models: Path | None = None,
     overwrite: bool = False,
 ) -> None:
     """Scores the default on real recordings, most of them of kinds that no training has seen.
@@ -37,6 +38,7 @@ def real(
         sets: shelf, tote, rio, piles, trees, ycb, mosd, kitti, semantickitti, vod, argo, nuscenes; default: all.
         runs: number of runs of each scene.
         rivals: number of random settings of each simple method, whose best is a column of the table; 0: no such column.
+        scan_models: folder of `train-scan-model`: no LiDAR scan is segmented by a model that has seen its sensor.
         overwrite: replace files in OUT that no earlier start has written.
     """
     for name, value, least in (("runs", runs, 1), ("rivals", rivals, 0)):
@@ -48,7 +50,7 @@ def real(
     for folder in folders:
         folder.mkdir(parents=True, exist_ok=True)
     results: Results = {}
-    for of_scene in measure(scenes, runs, folders[0]):
+    for of_scene in measure(scenes, runs, folders[0], scan_models):
         results |= of_scene
         _write(files[TABLE], report(results, {}))
     found = {}

@@ -116,6 +116,16 @@ def street_bin(rng: Rng, style: Style) -> Item:
     return made("stone", [(turned_anyhow(rng, stone), prints.rough(rng, np.array([0.5, 0.5, 0.48]), 0.5))])
 
 
+def cafe_table(rng: Rng, style: Style) -> Item:
+    """A table in front of a cafe with its chairs."""
+    coat, wood = style.body(0.2), style.wood()
+    parts = [(cylinder(0.03, 0.72), coat), (box((0.7, 0.7, 0.03), (0, 0, 0.72)), wood)]
+    for turn in rng.uniform(-0.3, 0.3) + np.arange(rng.integers(1, 5)) * np.pi / 2:
+        x, y = 0.6 * np.cos(turn), 0.6 * np.sin(turn)
+        parts += [(box((0.4, 0.4, 0.45), (x, y, 0)), coat), (box((0.3, 0.3, 0.9), (1.3 * x, 1.3 * y, 0)), coat)]
+    return made("table", parts)
+
+
 def turned_anyhow(rng: Rng, part: Part) -> Part:
     """The part in a random orientation, its lowest point at z = 0."""
     rotation = random_rotation(rng)

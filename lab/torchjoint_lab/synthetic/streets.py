@@ -20,7 +20,7 @@ from torchjoint_lab.synthetic.stage import Stage
 from torchjoint_lab.synthetic.tabletop import Layout
 
 #: What the truth of a scan knows, as SemanticKITTI's does; vegetation, buildings and fences are void there.
-KNOWN = ("ground", "car", "van", "person", "bicycle", "cyclist", "pole")
+KNOWN = ("ground", "car", "van", "person", "bicycle", "cyclist", "moped", "pole")
 #: The ground reaches so far, metres.
 _REACH = 85.0
 #: Words in the names of catalogue models that make them a vehicle or somebody of the street.
@@ -119,6 +119,8 @@ def build(source: Source, settings: DomainSettings) -> Layout:
     street = _Street(source, stage, ground)
     for side in (-1, 1):
         street.parked(side)
+        street.racks(side)
+        street.groups(side)
         street.fronts(side)
         street.furniture(side)
         street.people(side)
@@ -135,21 +137,63 @@ class _Street:
 
     def __init__(self, source: Source, stage: Stage, ground: Ground) -> None:
         self._source, self._stage, self._ground = source, stage, ground
+        self._hedges: list[tuple[float, float]] = []
         self._taken: list[tuple[float, float, float, float]] = [(-3.0, -1.3, 3.0, 1.3)]  # the car with the sensor
 
     def parked(self, side: int) -> None:
-        """A row of cars along the kerb, some of them bumper to bumper."""
+        """A row of cars along the kerb, or side by side across it, some of them at 25 cm; a hedge or wall beside it."""
         rng, source = self._source.rng, self._source
         if source.chance(0.2):
             return
-        x, dense = float(rng.uniform(-45, -25)), source.between(0.3, 1.0)
+        x, dense, across = float(rng.uniform(-45, -25)), source.between(0.3, 1.0), source.chance(0.25)
+        least = source.between(0.25, 0.8)
         while x < 45:
             item = self._vehicle()
-            x += item.size[0] / 2
-            out = self._ground.half - item.size[1] / 2 - rng.uniform(-0.4, 0.3)
+            long, wide = (float(item.size[1]), float(item.size[0])) if across else map(float, item.size[:2])
+            x += long / 2
+            out = self._ground.half - wide / 2 - rng.uniform(-0.4, 0.3)
             if source.chance(dense):
-                self.put(item, x, self._ground.y(side * out), float(rng.choice([0, np.pi]) + rng.normal(0, 0.03)))
-            x += item.size[0] / 2 + rng.uniform(0.35, 2.0)
+                yaw = float(rng.choice([0, np.pi]) + rng.normal(0, 0.03)) + across * np.pi / 2
+                self.put(item, x, self._ground.y(side * out), yaw, margin=0.0)
+            x += long / 2 + rng.uniform(least, 2.0)
+        for make in (roadside.hedge, roadside.wall):
+            self._row(make, side, (0.45, 1.1), (2, 20), 0.3)
+
+    def racks(self, side: int) -> None:
+        """Rows of bicycles or mopeds, handlebar at handlebar, most of them at a wall."""
+        rng = self._source.rng
+        for _ in range(int(rng.integers(0, 4))):
+            x, out = float(rng.uniform(-35, 35)), self._ground.half + float(rng.uniform(0.4, 1)) * self._ground.pavement
+            make = vehicles.moped if self._source.chance(0.25) else vehicles.bicycle
+            step, lean = rng.uniform(0.32, 0.8), float(rng.normal(np.pi / 2, 0.15))
+            if self._source.chance(0.5):
+                self.put(roadside.wall(rng, self._source.style), x + 2, self._ground.y(side * (out + 1.2)), 0.0, True)
+            for k in range(int(rng.integers(2, 16))):
+                turn = lean + float(rng.normal(0, 0.06)) + np.pi * int(rng.random() < 0.3)
+                y = self._ground.y(side * (out + float(rng.normal(0, 0.08))))
+                if self._source.chance(0.85):
+                    self.put(make(rng, self._source.style), x + k * float(step), y, turn, True, margin=-0.2)
+
+    def groups(self, side: int) -> None:
+        """People who stand together or wait in a queue, with prams, dogs and bicycles; at tables; riders abreast."""
+        rng, style = self._source.rng, self._source.style
+        for _ in range(int(rng.integers(0, 6))):
+            x, out = (
+                float(rng.uniform(-30, 30)),
+                self._ground.half + float(rng.uniform(-1.5, 1) * self._ground.pavement),
+            )
+            rows, step = int(rng.choice([1, 1, 2, 3])), float(rng.uniform(0.5, 0.95))
+            makers = [vehicles.person] * 8 + [vehicles.pram, vehicles.bicycle]
+            if self._source.chance(0.2):
+                makers, step = [vehicles.cyclist, vehicles.moped], step + 0.4
+            elif self._source.chance(0.2):
+                makers = [roadside.cafe_table, vehicles.person, vehicles.person]
+            yaw = float(rng.uniform(-np.pi, np.pi))
+            for k in range(rows * int(rng.integers(1, 5))):
+                at = np.array([k // rows, k % rows]) * step + rng.normal(0, 0.08, 2)
+                item = makers[int(rng.integers(len(makers)))](rng, style)
+                turn = float(rng.choice([0, np.pi])) + yaw + float(rng.normal(0, 0.4))
+                self.put(item, x + float(at[0]), self._ground.y(side * (out + float(at[1]))), turn, True, margin=-0.1)
 
     def driving(self) -> None:
         """Cars and cyclists on the carriageway."""
@@ -179,6 +223,9 @@ class _Street:
         self._row(roadside.tree, side, (0.7, 2.5), (5, 16), 0.6)
         self._row(roadside.street_bin, side, (0.4, 2.0), (6, 40), 0.7)
         self._row(vehicles.bicycle, side, (0.5, 1.5), (2, 40), 0.4)
+        for x, y in [place for place in self._hedges if self._source.chance(0.15)]:  # poles in bushes
+            height = float(self._ground(np.array([x]), np.array([y]))[0])
+            self._stage.add(roadside.pole(self._source.rng, self._source.style), euler(0.0), (x, y, height))
 
     def fronts(self, side: int) -> None:
         """Hedges, fences and walls behind the pavement, houses and trees behind those."""
@@ -230,6 +277,8 @@ class _Street:
             if new[0] < old[2] and old[0] < new[2] and new[1] < old[3] and old[1] < new[3]:
                 return
         self._taken.append(new)
+        if item.name == "hedge":
+            self._hedges.append((x, y))
         z = float(self._ground(np.array([x]), np.array([y]))[0])
         if flat and item.size[0] > 1.5:
             ends = np.array([x - half_x, x, x + half_x])

@@ -104,12 +104,39 @@ def bicycle(rng: Rng, style: Style) -> Item:
 
 def cyclist(rng: Rng, style: Style) -> Item:
     """Somebody on a bicycle: one instance."""
-    rider = person(rng, style)
-    up = [
-        (Part(part.positions + np.array([-0.1, 0, 0.25]), part.normals, part.uv), material)
-        for part, material in rider.parts
+    rider = _rider(rng, style)
+    return made("cyclist", [*bicycle(rng, style).parts, *rider])
+
+
+def _rider(rng: Rng, style: Style) -> list[tuple[Part, Material]]:
+    parts = person(rng, style).parts
+    return [(Part(part.positions + np.array([-0.1, 0, 0.25]), part.normals, part.uv), coat) for part, coat in parts]
+
+
+def moped(rng: Rng, style: Style) -> Item:
+    """A moped or motorcycle, some with somebody on it."""
+    coat, dark = style.body(0.3), paint.plain(rng, np.array([0.1, 0.1, 0.1]))
+    wheels = [(turned(cylinder(0.25, 0.1), euler(0, np.pi / 2), (x, -0.05, 0.25)), dark) for x in (-0.6, 0.6)]
+    body = [
+        (rounded_box((0.9, rng.uniform(0.25, 0.4), 0.45), 0.05, (-0.2, 0, 0.3)), coat),
+        (rod((0.55, 0, 0.3), (0.4, 0, 1.0), 0.06), coat),
+        (rod((0.4, -0.35, 1.0), (0.4, 0.35, 1.0), 0.02), dark),
     ]
-    return made("cyclist", [*bicycle(rng, style).parts, *up])
+    rider = _rider(rng, style) if rng.random() < 0.4 else []
+    return made("moped", [*wheels, *body, *rider])
+
+
+def pram(rng: Rng, style: Style) -> Item:
+    """A pram, or now and then a dog: what walks beside people."""
+    coat = style.cloth()
+    if rng.random() < 0.5:
+        legs = [(rod((x, y, 0), (x, y, 0.35), 0.03), coat) for x in (-0.22, 0.22) for y in (-0.08, 0.08)]
+        body = (blob(rng, (0.7, 0.24, 0.28), 0.03, 0.9, (0, 0, 0.3)), coat)
+        return made("dog", [body, (blob(rng, (0.28, 0.16, 0.2), 0.02, 1.0, (0.4, 0, 0.5)), coat), *legs])
+    wheels = [(turned(cylinder(0.12, 0.05), euler(0, np.pi / 2), (x, y, 0.12)), coat) for x in (-0.3, 0.3)
+              for y in (-0.25, 0.25)]  # fmt: skip
+    handle = (rod((-0.35, -0.2, 0.6), (-0.55, 0.2, 1.0), 0.02), coat)
+    return made("pram", [(blob(rng, (0.75, 0.4, 0.6), 0.04, 0.7, (0, 0, 0.35)), coat), handle, *wheels])
 
 
 def _lacquer(rng: Rng) -> Array:

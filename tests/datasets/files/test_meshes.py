@@ -115,19 +115,59 @@ def test_rows_of_an_obj(tmp_path, how):
 
 
 @pytest.mark.parametrize(
-    ("head", "before", "counts"), [("COFF", "", "\n"), ("CNOFF", "0 0 1 ", "\n"), ("COFF", "", " "), ("OFF", "", "\n")]
+    ("head", "before", "counts"),
+    [("COFF", "", "\n"), ("CNOFF", "0 0 1 ", "\n"), ("NCOFF", "0 0 1 ", "\n"), ("COFF", "", " "), ("OFF", "", "\n")],
 )
 def test_colours_of_an_off(tmp_path, head, before, counts):
     lines = [f"{x} {y} {z} {before}200 30 30 255" for x, y, z in PLANE.tolist()]
     lines += [f"3 {a} {b} {c}" for a, b, c in FACES.tolist()]
     path = tmp_path / "a.off"
     path.write_text(f"{head}{counts}{len(PLANE)} {len(FACES)} 0\n" + "\n".join(lines) + "\n")
+    red = np.tile(RED, (len(PLANE), 1)) / 255
     read = read_cloud_file(path)
     np.testing.assert_array_equal(read.points, PLANE)
-    np.testing.assert_allclose(read.colors, np.tile(RED, (len(PLANE), 1)) / 255, atol=1e-6)
+    np.testing.assert_allclose(read.colors, red, atol=1e-6)
+    if head == "NCOFF":  # MeshLab has the colours first
+        path.write_text(path.read_text().replace("0 0 1 200 30 30 255", "200 30 30 255 0 0 1"))
+        np.testing.assert_allclose(read_cloud_file(path).colors, red, atol=1e-6)
     path.write_text(path.read_text().rstrip() + " 255 0 0\n")
     with pytest.warns(UserWarning, match=r"a\.off: colours of faces are not read"):
         read_cloud_file(path)
+
+
+@pytest.mark.parametrize("head", [b"4OFF", b"OFF BINARY", b"3 1 0"])
+def test_other_kinds_of_off(tmp_path, head):
+    (tmp_path / "a.off").write_bytes(head + b"\n3 0 0\n0 0 0 2\n1 0 0 2\n0 1 0 2\n")
+    with pytest.raises(ValueError, match=r"a\.off: expected text that begins with OFF, COFF, NOFF or STOFF, got"):
+        read_cloud_file(tmp_path / "a.off")
+
+
+def test_tabs_of_an_obj(tmp_path):
+    path = obj(tmp_path)
+    path.write_text(path.read_text().replace(" ", "\t"))
+    assert len(read_cloud_file(path).faces) == len(FACES)
+
+
+@pytest.mark.parametrize("kind", ["white", "plain", "textured"])
+def test_vertices_and_a_material_have_colours(tmp_path, kind):
+    """As Blender writes them: the colour is the product."""
+    one = part("textured" if kind == "textured" else "plain", (255, 255, 255) if kind == "white" else (255, 255, 0))
+    one.visual.vertex_attributes["color"] = np.tile(np.uint8([*RED, 255]), (len(PLANE), 1))
+    read = read_cloud_file(glb(tmp_path / "a.glb", one))
+    product = np.array(RED) / 255 * (1, 1, kind == "white")
+    np.testing.assert_allclose(read.colors, np.tile(product, (len(PLANE), 1)), atol=1e-2)
+
+
+def test_lines_of_a_glb_are_told(tmp_path):
+    test_kinds_that_are_not_read(lambda tree: tree["meshes"][0]["primitives"][0].update(mode=6), "fans", tmp_path)
+    path = tmp_path / "a.gltf"
+    tree = json.loads(path.read_text())
+    tree["scenes"].pop()
+    tree["meshes"][0]["primitives"][0]["mode"] = 3
+    tree["meshes"][0]["primitives"].append({"attributes": {"POSITION": 0}})
+    path.write_text(json.dumps(tree))
+    with pytest.warns(UserWarning, match=r"a\.gltf: lines are not read"):
+        assert len(read_cloud_file(path).points) == 9
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])

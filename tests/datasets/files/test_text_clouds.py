@@ -30,6 +30,10 @@ COLORED = text(XYZ, RGB)
         ("a.xyz", "x y z red green blue\n" + COLORED),
         ("a.csv", '"x","y","z","r","g","b"\r\n' + text(XYZ, RGB, by=",").replace("\n", "\r\n")),
         ("a.csv", text(XYZ, RGB, by=", ")),
+        ("a.csv", "X,Y,Z,Red,Green,Blue,Cloud index\n" + text(XYZ, RGB, RGB[:, :1], by=",")),
+        ("a.csv", ",x,y,z,r,g,b\n" + text(RGB[:, :1], XYZ, RGB, by=",")),  # pandas' index
+        ("a.csv", '"x","y","z","r","g","b"\n"' + text(XYZ, RGB, by='","').rstrip().replace("\n", '"\n"') + '"\n'),
+        ("a.txt", "x y z r g b\n" + text(XYZ, 257 * RGB)),
         ("a.txt", text(XYZ, RGB, by=",").replace("\n", ",\n")),
         ("a.txt", text(XYZ, RGB, by=";")),
         ("a.txt", text(XYZ, RGB, by=";").replace(".", ",")),
@@ -76,9 +80,10 @@ def test_normals_without_a_negative_one_are_no_colours(tmp_path, suffix):
         ),
         ("31\n" + COLORED, r"line 1: 31 points are counted, got 30: is it truncated\?"),
         ("1,5 2,5 3,5\n", r"line 1: expected decimal points, got commas in '1,5 2,5 3,5'; replace them"),
+        ("x y z r g b\n" + text(RGB[:, :1], XYZ, RGB), "6 names of columns, x, y, z, r, g, b, but 7 numbers a row"),
         ("# nothing\n", "expected a row of x y z for each point, got no rows"),
         ("x,y,z,x\n1,2,3,4\n", "column 'x' is there twice"),
-        ("z,y,x,label\n1,2,3\n", r"expected 4 columns \(z, y, x, label\), got 3"),
+        ("z,y,x,label\n1,2,3\n", "4 names of columns, z, y, x, label, but 3 numbers a row"),
         ("1 2\n3 4\n", r"expected a row of x y z for each point, got shape \[2, 2\]"),
     ],
 )
@@ -94,3 +99,18 @@ def test_what_cannot_be_read(tmp_path, data, message):
 def test_names_with_units(tmp_path, head):
     (tmp_path / "a.csv").write_text(f"{head}\n1,2,3\n")
     assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[3, 2, 1]]
+
+
+@pytest.mark.parametrize("by", [" ", ","])
+def test_single_unknown_values(tmp_path, by):
+    """They are NaN, or empty as pandas writes them."""
+    rows = text(XYZ, np.where(np.arange(30)[:, None] == 3, np.nan, RGB), by=by)
+    (tmp_path / "a.csv").write_text(rows if by == " " else rows.replace("nan", ""))
+    with pytest.warns(
+        UserWarning, match="1 of 30 colors are NaN or out of range; they are taken from the nearest points"
+    ):
+        colors = read_cloud_file(tmp_path / "a.csv").colors
+    np.testing.assert_allclose(np.delete(colors.numpy(), 3, 0), np.delete(RGB, 3, 0) / 255, atol=1e-6)
+    (tmp_path / "a.xyz").write_text(text(XYZ, np.where(np.arange(30)[:, None] == 3, np.nan, UP)))
+    with pytest.warns(UserWarning, match="1 of 30 normals are NaN"):
+        np.testing.assert_allclose(read_cloud_file(tmp_path / "a.xyz").normals, UP, atol=1e-6)

@@ -335,6 +335,11 @@ class TestClouds:
         ("cameras", "3 PINHOLE 160 120 1 2 3 x\n", r"cameras\.txt: line 1: expected finite numbers, got '1 2 3 x'"),
         ("images", "# x\n\n1 1 0 0 0 0 0 3 0.png\n", r"images\.txt: line 3: expected IMAGE_ID QW QX QY QZ TX TY TZ"),
         ("images", "1 1 1 0 0 0 0 0 3 0.png\n", r"images\.txt: expected unit quaternions, got 1 others, such as"),
+        (
+            "images",
+            "1 1 0 0 0 0 0 0 3 0.png\n2 1 0 0 0 0 0 0 3 1.png\n",
+            r"images\.txt: line 2: expected 2D points X Y POINT3D_ID of the image above, or an empty line, got '2 1 0",
+        ),
         ("points3D", "1 0 0 0 1 2 3\n", r"points3D\.txt: line 1: expected POINT3D_ID X Y Z R G B ERROR TRACK, got"),
         ("points3D", "1 0 0 0 1 2 300 1\n", r"points3D\.txt: expected colours of 0 to 255, got 1 to 300"),
         ("points3D", "1 0 0 inf 1 2 3 1\n", r"points3D\.txt: line 1: expected finite numbers"),

@@ -63,6 +63,27 @@ def test_points_without_a_return_are_left_out(folder):
     assert scene.truth is None
 
 
+def test_beams_without_return_are_left_out(folder):
+    x = np.array([1, 0, 3], dtype=np.float32)
+    write_pcd(folder / "pointcloud.pcd", {"x": x, "y": x, "z": x})
+    with pytest.warns(UserWarning, match=r"pointcloud\.pcd: 1 of 3 points are \(0, 0, 0\), beams without return"):
+        assert tj.load_scene(folder).points[:, 0].tolist() == [1, 3]
+
+
+def test_the_camera_of_another_size_or_lens(folder):
+    values = json.loads((folder / "camera_info.json").read_text())
+    height, width = tj.load_scene(folder).frames[0].size
+    info = {"K": values["K"], "width": 2 * width, "height": 2 * height, "D": [], "distortion_model": ""}
+    (folder / "camera_info.json").write_text(json.dumps(info))
+    assert float(tj.load_scene(folder).frames[0].intrinsics[0, 0]) == values["K"][0] / 2
+    fisheye = {"K": values["K"], "D": [0.3, 0, 0, 0], "distortion_model": "equidistant"}
+    images = []
+    for info in (fisheye, fisheye | {"distortion_model": "plumb_bob"}):
+        (folder / "camera_info.json").write_text(json.dumps(info))
+        images.append(tj.load_scene(folder).frames[0].image)
+    assert images[0].shape != images[1].shape or not torch.equal(*images)
+
+
 def test_a_lens_is_straightened(tmp_path):
     folder = samples.write("lidar_image_calibrated", tmp_path / "sample")
     bent = tj.load_scene(folder).frames[0]
@@ -89,6 +110,11 @@ def test_jpeg_and_lazy_reading(folder):
     ("file", "content", "message"),
     [
         ("camera_info.json", "{}", r"camera_info\.json: K: missing"),
+        (
+            "camera_info.json",
+            '{"distortion_model": "fov"}',
+            r"distortion_model: expected one of plumb_bob, rational_poly",
+        ),
         ("camera_info.json", '{"K": [1, 2, 3]}', r"camera_info\.json: K: expected 9 numbers"),
         ("camera_info.json", '{"K": [0, 0, 0, 0, 0, 0, 0, 0, 0]}', "intrinsics of .*camera_info.json: expected"),
         ("camera_info.json", '{"K": [9, 0, 1, 0, 9, 1, 0, 0, 1], "D": [1]}', r"D: expected 4, 5 or 8 numbers"),

@@ -1,6 +1,7 @@
 """transforms.json of nerfstudio and instant-ngp."""
 
 import json
+import math
 import shutil
 
 import numpy as np
@@ -73,6 +74,28 @@ def test_paths_of_windows(folder):
         frame["file_path"] = ".\\" + frame["file_path"].replace("/", "\\")
     save(folder, values)
     assert [frame.name for frame in tj.load_scene(folder).frames] == [f"frame_{index:05d}" for index in range(1, 7)]
+
+
+def test_paths_without_suffix(folder):
+    values = read(folder)
+    for frame in values["frames"]:
+        path = folder / frame["file_path"]
+        Image.open(path).convert("RGB").save(path.with_suffix(".jpg"))
+        path.unlink()
+        frame["file_path"] = frame["file_path"].removesuffix(".png")
+    save(folder, values)
+    assert len(tj.load_scene(folder).frames[0].image) == 3
+
+
+def test_a_frame_may_have_its_own_focal_length(folder):
+    """That of the file does not win, also if it is given in another way."""
+    values = read(folder)
+    values["frames"][-1]["camera_angle_x"] = 1.0
+    save(folder, values)
+    first, second = tj.load_scene(folder).frames[:2]
+    expected = first.size[1] / 2 / math.tan(0.5)
+    assert first.intrinsics.diagonal()[:2].tolist() == pytest.approx([expected, expected])
+    assert float(second.intrinsics[0, 0]) == values["fl_x"]
 
 
 def test_files_of_a_folder_of_blender_are_its_scenes(folder):

@@ -110,6 +110,15 @@ def test_a_view_may_be_read_as_a_cloud(tmp_path):
         tj.load_scene(path, format="ros")
 
 
+def test_a_view_along_the_other_axis_is_a_cloud_alone(tmp_path):
+    fields = view(np.random.default_rng(0))
+    fields["z"] = -fields["z"]
+    fields = {name: np.nan_to_num(values, nan=-1) for name, values in fields.items()}
+    with pytest.warns(UserWarning, match=r"view\.pcd: 0 points with depth are too few, .*: read as a cloud alone"):
+        scene = tj.load_scene(write(tmp_path / "view.pcd", fields))
+    assert (len(scene.points), len(scene.frames)) == (HEIGHT * WIDTH, 0)
+
+
 @pytest.mark.parametrize("left", [[], [5], [5, 6]])
 def test_too_few_points_to_find_intrinsics(tmp_path, left):
     fields = view(np.random.default_rng(0))

@@ -16,7 +16,7 @@ from torchjoint.segments.scan import gaps
 from torchjoint.segments.scan import method as scan_segments
 from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, height_over_ground
-from torchjoint.segments.scan.method import segment_scan, with_near_rings
+from torchjoint.segments.scan.method import segment_levels, segment_scan, with_near_rings
 from torchjoint.segments.scan.recognition import Rings, directions
 from torchjoint.views.projection import in_any_view
 
@@ -123,7 +123,8 @@ def test_bits_join_what_is_near_and_only_that(monkeypatch):
     assert labels[-2] == car  # .37 m away: 1.05 gaps
     assert (labels == labels[-1]).sum() == 1
     monkeypatch.setattr(gaps, "JOINING_GAP", 1)
-    assert segment_scan(torch.cat([points, near, far]))[-2] != car
+    labels = segment_levels(torch.cat([points, near, far])).at(1.0)
+    assert (labels == labels[-2]).sum() == 1
     monkeypatch.setattr(gaps, "JOINING_GAP", 1e3)
     assert (segment_scan(torch.cat([points, near, far])) == car).sum() > 2
 

@@ -152,7 +152,7 @@ def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:
 
 
 def _from_archive(path: Path) -> CloudFile:
-    values = read_archive(path)
+    values = {name: one.astype(one.dtype.newbyteorder("="), copy=False) for name, one in read_archive(path).items()}
     if "points" not in values:
         raise ValueError(f"expected an array `points`, got {', '.join(values) or 'none'}")
     count = len(values["points"]) if values["points"].shape[1:] == (3,) else -1
@@ -163,7 +163,12 @@ def _from_archive(path: Path) -> CloudFile:
     made = {name: torch.from_numpy(values[name]) for name in ("points", "normals", "faces") if name in values}
     normals = made["normals"].float() if "normals" in made else None
     colors = unit_colors(values["colors"]) if "colors" in values else None
-    return CloudFile(made["points"], colors, normals, made.get("faces"))
+    points, faces = made["points"], made.get("faces") if len(values.get("faces", ())) else None
+    if faces is not None:
+        if faces.shape[1:] != (3,) or faces.is_floating_point() or not 0 <= faces.min() <= faces.max() < count:
+            raise ValueError(f"faces: expected rows of three of the {count} points, got {faces.dtype} {[*faces.shape]}")
+        faces = faces.long()
+    return CloudFile(points if points.is_floating_point() else points.double(), colors, normals, faces)
 
 
 def _is_whole(letters: str) -> bool:

@@ -152,7 +152,11 @@ def _images_of_text(path: Path) -> list[_Row]:
         if len(words) < 10:
             raise ValueError(f"{name}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, got {line[:100]!r}")
         rows.append(_Row(parse_numbers(words[1:8], name), parse_integer(words[8], name), words[9]))
-        next(lines, None)  # the image's 2D points; an image without 2D points has an empty line here
+        name, points = next(lines, (name, ""))
+        if len(points.split()) % 3:
+            raise ValueError(
+                f"{name}: expected 2D points X Y POINT3D_ID of the image above, or an empty line, got {points[:80]!r}"
+            )
     return rows
 
 

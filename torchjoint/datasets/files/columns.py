@@ -32,17 +32,21 @@ NORMALS = (("nx", "ny", "nz"), ("normalx", "normaly", "normalz"))
 HARMONICS, CONSTANT, OPACITY = (("fdc0", "fdc1", "fdc2"),), 0.5 / np.pi**0.5, (("opacity",),)
 #: Red, green and blue in one number of four bytes: b g r a.
 PACKED = ("rgb", "rgba", "color", "bgr", "bgra")
+#: The bits of NaN as text gives it: no colour. Other bits of NaN are colours whose a is 255.
+UNKNOWN = 0x7FC00000
 #: Columns that no reader reads, and that no one expects to be read.
 NOT_READ = re.compile(
     r"a|alpha|(diffuse|color|colour|vertex)(a|alpha)|intensity|reflectance|reflectivity|i|ambient|noise|ring|channel|line|"
     r"tag|range|distance|(gps|scan|time|offset|sweep)*(time|timestamp|stamp|stampsec|stampnsec)?|t|curvature|quality|"
     r"confidence|value|radius|flags?|label|labels|class|classification|category|semantic|instance|object|objectid|"
-    r"segment|superpoint|thing|id|index|number|fdc\d+|frest\d+|scale\d+|rot\d+|u|v|s|texture[uv]|viewpoint[xyz]|vp[xyz]|"
+    r"segment|superpoint|thing|id|index|number|frest\d+|scale\d+|rot\d+|u|v|s|texture[uv]|viewpoint[xyz]|vp[xyz]|"
     r"padding\d*|_?\d*|filterid|returnnumber|numberofreturns|(original)?cloudindex|material(index|id)|face\w*|edges?"
 )
 
 #: Normals that are shorter have no direction. If more than this share of a column's values is wrong, it is left out.
 SHORTEST, MOST_WRONG = 1e-3, 0.5
+#: Colours may be rounded by less than this.
+EDGE = 1e-4
 
 
 class CloudFile(NamedTuple):
@@ -92,10 +96,11 @@ def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
         if colors is None and whole is not None and (read := _unpacked(columns[whole])) is not None:
             colors = unit_colors(read)
             used.add(whole)
-    harmonics, faint = group(HARMONICS), group(OPACITY)
-    if colors is None and harmonics is not None:
-        colors = (0.5 + CONSTANT * _stacked(harmonics, np.float32)).clamp(0, 1)
+    harmonics = group(HARMONICS)
+    if harmonics is not None:
+        faint = group(OPACITY)
         opacities = None if faint is None else _stacked(faint, np.float32)[:, 0].sigmoid()
+        colors = (0.5 + CONSTANT * _stacked(harmonics, np.float32)).clamp(0, 1) if colors is None else colors
     tell_not_read([column for column in columns if column not in used], name)
     has_normals = normals is not None and any(column.any() for column in normals)  # splats have zeros, for example
     return CloudFile(
@@ -119,17 +124,18 @@ def plain(column: str) -> str:
 
 
 def unit_colors(colors: Array) -> Tensor:
-    """Colours [N, 3] of one file, of any type and scale, as [N, 3] float32 in [0, 1]; NaN stays."""
+    """Colours [N, 3] of one file, of any type and scale, as [N, 3] float32; NaN and what is no colour stay outside."""
     if colors.dtype == np.int8:
         colors = colors.view(np.uint8)
-    largest = float(np.nanmax(colors, initial=0)) if colors.size else 0
-    most = None if colors.dtype.kind == "f" else int(np.iinfo(colors.dtype).max)
+    is_float = colors.dtype.kind == "f"
+    largest = float(np.max(colors, initial=0, where=np.abs(colors) <= 65535 if is_float else True))
+    most = None if is_float else int(np.iinfo(colors.dtype).max)
     white = 255 if colors.dtype == np.uint8 else full_brightness(largest, most)
     return torch.from_numpy((colors if white == 1 else colors / white).astype(np.float32))
 
 
 def repaired(cloud: CloudFile, name: str) -> CloudFile:
-    """The cloud with values of the nearest points for NaN in colours, normals and opacities, and normals of length 0.
+    """The cloud with values of the nearest points for NaN in colours, normals and opacities, and what is none of them.
 
     What is hardly right anywhere is left out. Warnings begin with `name`, and tell the numbers.
     """
@@ -140,12 +146,13 @@ def repaired(cloud: CloudFile, name: str) -> CloudFile:
             continue
         wide = values.view(len(values), -1)
         right = wide.isfinite().all(1)
-        if what == "normals":
-            right &= wide.norm(dim=1) > SHORTEST
+        if what != "opacities":
+            right &= wide.norm(dim=1) > SHORTEST if what == "normals" else ((wide > -EDGE) & (wide < 1 + EDGE)).all(1)
         wrong, known = ((has_place & which).nonzero().squeeze(1) for which in (~right, right))
         if not len(wrong):
             continue
-        told = f"{name}: {len(wrong)} of {len(values)} {what} are NaN{' or of length 0' if what == 'normals' else ''}; "
+        or_else = {"normals": " or of length 0", "colors": " or out of range", "opacities": ""}[what]
+        told = f"{name}: {len(wrong)} of {len(values)} {what} are NaN{or_else}; "
         if len(wrong) > MOST_WRONG * len(values):
             if bool(wide.any()):  # some programs write zeros where they have no normals
                 warnings.warn(f"{told}the {what} are not read", stacklevel=4)
@@ -168,13 +175,17 @@ def _stacked(columns: Sequence[Array], kind: npt.DTypeLike) -> Tensor:
 
 
 def _unpacked(packed: Array) -> Array | None:
-    """Colours [N, 3] of a column whose numbers hold red, green and blue; None if they do not."""
+    """Colours [N, 3] of a column whose numbers hold red, green and blue, NaN where it is NaN; None if they do not."""
     if packed.ndim == 2:
         return packed[:, :3] if packed.shape[1] in (3, 4) else None
     if packed.dtype.itemsize == 8:
-        whole = packed.dtype.kind != "f" or (packed.max(initial=0) >= 1 and bool((packed == np.floor(packed)).all()))
-        packed = packed.astype(np.int64).astype(np.uint32) if whole else packed.astype(np.float32)
+        known = packed[~np.isnan(packed)]
+        whole = packed.dtype.kind != "f" or (known.max(initial=0) >= 1 and bool((known == np.floor(known)).all()))
+        packed = np.where(np.isnan(packed), UNKNOWN, packed) if whole else packed.astype(np.float32)
+        packed = packed.astype(np.int64).astype(np.uint32) if whole else packed
     if packed.dtype.itemsize != 4:
         return None
     value = np.ascontiguousarray(packed.astype(packed.dtype.newbyteorder("="))).view(np.uint32)
-    return np.stack([(value >> shift).astype(np.uint8) for shift in (16, 8, 0)], axis=1)
+    colors = np.stack([(value >> shift).astype(np.uint8) for shift in (16, 8, 0)], axis=1)
+    unknown = (value == UNKNOWN)[:, None]
+    return np.where(unknown, np.nan, colors / 255) if unknown.any() else colors

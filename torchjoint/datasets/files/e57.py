@@ -1,7 +1,7 @@
 """Reads E57 files (ASTM E2807) with pye57 and libE57Format: the points of all scans, in the file's world frame.
 
-Scans are moved by their poses. Points that the scanner marks as invalid are left out. Colours are scaled by the limits
-in the file; there are none if any scan lacks them. The library verifies the checksum of each page.
+Scans are moved by their poses. What the scanner marks as invalid, and beams without return, is left out. Colours are
+scaled by the limits in the file; there are none if any scan lacks them. The library verifies the checksum of each page.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchjoint.datasets.files.columns import CloudFile
+from torchjoint.datasets.files.columns import CloudFile, tell_not_read
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.runtime.messages import needed_for
+from torchjoint.scene.checks import kept_points
 from torchjoint.scene.cloud import full_brightness
 
 #: Bytes of a page, of which the last four are a checksum.
@@ -29,6 +30,7 @@ PAGE = 1024
 _FOREIGN_XML = re.compile(rb"<!(DOCTYPE|ENTITY)|\0|\A[^>]*encoding\s*=\s*.(?!utf-8)", re.I)
 _XYZ = ("cartesianX", "cartesianY", "cartesianZ")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
+_KNOWN = re.compile("cartesian|spherical|color|isColor|isIntensity|isTimeStamp|intensity|row|column|return|timeStamp")
 
 Array = npt.NDArray[Any]
 
@@ -41,7 +43,7 @@ def read_e57(path: Path) -> CloudFile:
     try:
         with pye57.E57(str(path)) as file:
             _check_counts(path, [file.get_header(index).point_count for index in range(file.scan_count)])
-            scans = [_scan(file, index) for index in range(file.scan_count)]
+            scans = [_scan(file, index, f"{path}: scan {index}") for index in range(file.scan_count)]
     except Exception as error:  # the library raises several types of its own
         raise ValueError(f"{path}: not a whole E57 file: {str(error).strip() or type(error).__name__}") from error
     points = torch.from_numpy(np.concatenate([xyz for xyz, _ in scans]))
@@ -78,13 +80,17 @@ def _check_counts(path: Path, counts: list[int]) -> None:
     bounds.check_points(sum(counts), path.stat().st_size)
 
 
-def _scan(file: Any, index: int) -> tuple[Array, Array | None]:
-    """The valid points of a scan, and their colours."""
+def _scan(file: Any, index: int, name: str) -> tuple[Array, Array | None]:
+    """The valid points of a scan, and their colours; warnings begin with `name`."""
     data = file.read_scan(index, colors=True, ignore_missing_fields=True)
     xyz = np.stack([np.asarray(data[name], np.float64) for name in _XYZ], axis=1)
-    if any(name not in data for name in _RGB):
-        return xyz, None
     header = file.get_header(index)
+    tell_not_read([field for field in header.point_fields if not _KNOWN.match(field)], name)
+    sensor = header.translation if header.has_pose() else np.zeros(3)
+    kept = kept_points(torch.from_numpy(xyz - sensor), name, "keep", "drop many").numpy()
+    xyz, data = xyz[kept], {field: values[kept] for field, values in data.items()}
+    if any(field not in data for field in _RGB):
+        return xyz, None
     low, high = (np.array([_limit(header, name, end) for name in _RGB]) for end in ("Minimum", "Maximum"))
     rgb = np.stack([np.asarray(data[name], np.float64) for name in _RGB], axis=1)
     if not (high > low).all() or (high.max() > 255 >= rgb.max(initial=0) > 1):  # no limits, or those of a wider type

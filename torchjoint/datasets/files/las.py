@@ -20,9 +20,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
-from torchjoint.datasets.files.columns import CloudFile, tell_not_read, unit_colors
+from torchjoint.datasets.files.columns import CloudFile, cloud_of
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.runtime.messages import needed_for
@@ -46,13 +45,14 @@ class LasPoints(NamedTuple):
 
 
 def read_las(path: Path) -> CloudFile:
-    """Reads a whole file: positions, float64, and colours, if any."""
+    """Reads a whole file: positions, float64, and colours and normals, if any; normals are extra dimensions."""
     with open_las(path) as reader:
-        tell_not_read(reader.header.point_format.extra_dimension_names, str(path))
-        parts = list(las_points(reader, path))
-    xyz = torch.from_numpy(np.concatenate([part.xyz for part in parts]))
-    rgb = np.concatenate([part.rgb for part in parts if part.rgb is not None]) if parts[0].rgb is not None else None
-    return CloudFile(xyz, unit_colors(rgb) if rgb is not None and rgb.any() else None)
+        kind = reader.header.point_format
+        rgb = {"red", "green", "blue"} & set(kind.dimension_names)
+        names = ["x", "y", "z", *rgb, *kind.extra_dimension_names]
+        chunks = [{name: np.asarray(chunk[name]) for name in names} for chunk in las_chunks(reader, path)]
+    cloud = cloud_of({name: np.concatenate([chunk[name] for chunk in chunks]) for name in names}, str(path))
+    return cloud if cloud.colors is not None and cloud.colors.any() else cloud._replace(colors=None)
 
 
 def epsg_of(path: Path) -> int | None:
@@ -75,14 +75,14 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
 
     Args:
         path: of the file.
-        only_places: decompress only coordinates and colours, if the file's point format allows it.
+        only_places: decompress only coordinates, colours and extra dimensions, if the file's point format allows it.
     """
     laspy = las_library()
     header = check_header(path)
     wanted = laspy.DecompressionSelection.all()
     if only_places:
         kinds = laspy.DecompressionSelection
-        wanted = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.RGB
+        wanted = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.RGB | kinds.ALL_EXTRA_BYTES
     reader = None
     try:
         with _clear_errors(path):

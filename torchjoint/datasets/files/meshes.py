@@ -39,6 +39,8 @@ AGREED = 0.9
 TEXTURES = (*RASTERS, "TGA")
 #: Extensions of glTF that do not change where points are.
 _LOOKS = re.compile("KHR_(materials_.*|texture_.*|lights_punctual|xmp.*|mesh_quantization)|EXT_texture_.*")
+_OFF = re.compile(rb"(\s*#.*\n)*\s*(ST)?(CN?|NC?)?OFF(?!\s+BINARY)", re.IGNORECASE)
+_NORMALS = re.compile(rb'^\s*vn\s|"NORMAL"|^(ST)?C?NC?OFF', re.MULTILINE)
 #: Chunks of a .glb.
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
@@ -54,7 +56,11 @@ def read_mesh_file(path: Path) -> CloudFile:
         import trimesh
     data, suffix, parts = read_file(path, "a mesh"), path.suffix.lower(), Parts(path)
     if suffix in (".obj", ".off"):
-        data = data.removeprefix(b"\xef\xbb\xbf")
+        data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ")
+    if suffix == ".off" and not _OFF.match(data):
+        raise ValueError(f"{path}: expected text that begins with OFF, COFF, NOFF or STOFF, got {data[:20]!r}")
+    if suffix == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little") and any(data[133::50]):
+        warnings.warn(f"{path}: colours of triangles are not read", stacklevel=4)
     bound_textures()
     try:
         if suffix in (".gltf", ".glb"):
@@ -71,6 +77,8 @@ def read_mesh_file(path: Path) -> CloudFile:
             if suffix == ".stl":
                 for geometry in loaded.geometry.values():
                     geometry.merge_vertices()
+            for geometry in loaded.geometry.values():
+                _color_twice(geometry)
             mesh = _joined(loaded.dump(), str(path))
             if own is not None:
                 mesh = _in_rows(mesh, own)
@@ -82,6 +90,8 @@ def read_mesh_file(path: Path) -> CloudFile:
         raise ValueError(f"{path}: not a whole {path.suffix} mesh: {error!r}"[:300]) from error
     if mesh is None or not len(mesh.points):
         raise ValueError(f"{path}: expected a mesh with vertices, got none")
+    if mesh.faces is None and _NORMALS.search(data):
+        warnings.warn(f"{path}: normals are not read of {path.suffix} files", stacklevel=4)
     if mesh.faces is not None and not 0 <= int(mesh.faces.min()) <= int(mesh.faces.max()) < len(mesh.points):
         low, high = int(mesh.faces.min()), int(mesh.faces.max())
         raise ValueError(f"{path}: expected faces of {len(mesh.points)} vertices, got {low} to {high}")
@@ -105,7 +115,7 @@ def _joined(parts: Sequence[Any], name: str) -> CloudFile:
         points.append(np.asarray(part.vertices, np.float64).reshape(-1, 3))
         count += len(points[-1])
         if has_colors and len(of_part) == len(points[-1]):
-            colors.append(np.asarray(of_part)[:, :3])
+            colors.append(unit_colors(np.asarray(of_part)[:, :3]))
         elif len(points[-1]):
             bare.append(str(part.metadata.get("name")))
     if colors and bare:
@@ -117,9 +127,18 @@ def _joined(parts: Sequence[Any], name: str) -> CloudFile:
     triangles = np.concatenate([np.empty((0, 3), np.int64), *faces])
     return CloudFile(
         torch.from_numpy(np.concatenate([np.empty((0, 3)), *points])),
-        unit_colors(np.concatenate(colors)) if colors and not bare else None,
+        torch.cat(colors) if colors and not bare else None,
         faces=torch.from_numpy(triangles) if len(triangles) else None,
     )
+
+
+def _color_twice(part: Any) -> None:
+    """Gives a part of a .glb with a material and colours of vertices, which trimesh leaves out, their product."""
+    own = getattr(part.visual, "vertex_attributes", {}).get("color")
+    if own is not None:
+        of_material = _of_material(part.visual, len(part.vertices))[:, :3]
+        product = of_material * unit_colors(np.asarray(own)[:, :3]).numpy()
+        part.visual = type(part)(part.vertices, part.faces, vertex_colors=product.round().astype(np.uint8)).visual
 
 
 def _of_material(visual: Any, count: int) -> Array:
@@ -142,7 +161,7 @@ def _rows_of_obj(data: bytes) -> CloudFile:
     rows = [line.split()[1:7] for line in data.splitlines() if line.lstrip()[:2] in (b"v ", b"v\t")]
     points = np.array([row[:3] for row in rows], np.float64).reshape(-1, 3)
     colors = np.array([row[3:] if len(row) == 6 else [np.nan] * 3 for row in rows], np.float64).reshape(-1, 3)
-    return CloudFile(torch.from_numpy(points), None if np.isnan(colors).all() else unit_colors(colors))
+    return CloudFile(torch.from_numpy(points), unit_colors(colors) if any(len(row) == 6 for row in rows) else None)
 
 
 def _in_rows(mesh: CloudFile, own: CloudFile) -> CloudFile:
@@ -151,7 +170,7 @@ def _in_rows(mesh: CloudFile, own: CloudFile) -> CloudFile:
     rows = known[torch.from_numpy(cKDTree(own.points[known].numpy()).query(mesh.points.numpy())[1])]
     colors = own.colors
     if colors is None and mesh.colors is not None:
-        colors = torch.full((len(own.points), 3), torch.nan).index_copy(0, rows, mesh.colors)
+        colors = mesh.colors.new_full((len(own.points), 3), torch.nan).index_copy(0, rows, mesh.colors)
         at = cKDTree(mesh.points.numpy()).query(own.points[known].numpy())[1]  # vertices of one place, or of no face
         colors[known] = mesh.colors[torch.from_numpy(at)]
     return own._replace(colors=colors, faces=None if mesh.faces is None else rows[mesh.faces])
@@ -165,10 +184,11 @@ def _colors_of_off(data: bytes, count: int, name: str) -> Tensor | None:
     rows, faces = lines[first : first + count], lines[first + count :]
     if any(len(face) > int(face[0]) + 1 for face in faces):
         warnings.warn(f"{name}: colours of faces are not read; those of vertices (COFF) are", stacklevel=4)
-    start = 6 if b"N" in head[:-3] else 3
-    if min(map(len, rows), default=0) < start + 3:
-        return None
-    return unit_colors(np.array([row[start : start + 3] for row in rows], np.float64))
+    width = min(map(len, rows), default=0)
+    values = np.array([row[3:width] for row in rows], np.float64)
+    is_first = b"NC" in head and width >= 9 and bool(values[:, :3].min() >= 0) and bool(values[:, :3].max() > 1)
+    values = values[:, 3 * (b"N" in head[:-3] and not is_first) :][:, :3]  # NC of some programs: colours, then normals
+    return unit_colors(values) if values.shape[1] == 3 else None
 
 
 def has_large_triangles(points: Tensor, faces: Tensor) -> bool:
@@ -342,6 +362,8 @@ def _check_kinds(tree: dict[str, Any], name: str) -> None:
     for primitive in (one for mesh in tree.get("meshes", ()) for one in mesh["primitives"]):
         used = [tree["accessors"][one] for one in _accessors(primitive)]
         unknown |= {"sparse accessors"} if any("sparse" in one for one in used) else set()
+        if primitive.get("mode") in (2, 3):
+            warnings.warn(f"{name}: lines are not read", stacklevel=5)
         unknown |= {"fans of triangles"} if primitive.get("mode") == 6 else set()
         is_scaled = tree["accessors"][primitive["attributes"]["POSITION"]].get("normalized")
         unknown |= {"normalized positions"} if is_scaled else set()

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import CloudFile, cloud_of
+from torchjoint.datasets.files.columns import COLORS, CloudFile, cloud_of, plain
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
@@ -31,6 +31,8 @@ MAX_HEADER = 1 << 20
 
 #: Names of the list of a face's vertices.
 _FACE_LISTS = ("vertex_indices", "vertex_index")
+#: Names of what colours the faces, and not the vertices.
+_DRAWN = {"texcoord", *(color for colors in COLORS for color in colors)}
 _WORDS = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
           "f8": "double"}  # fmt: skip
 _KINDS = {word: kind for kind, word in _WORDS.items()} | {
@@ -144,7 +146,9 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def _assembled(elements: Mapping[str, Columns], name: str) -> CloudFile:
-    vertex = {name: column for name, column in elements.get("vertex", {}).items() if not isinstance(column, Lists)}
+    if "vertex" not in elements:
+        raise ValueError(f"expected an element vertex, got {', '.join(elements) or 'none'}")
+    vertex = {name: column for name, column in elements["vertex"].items() if not isinstance(column, Lists)}
     if any(column.startswith("packed_") for column in vertex):
         raise ValueError(
             "expected splats with x, y and z, got packed ones of SuperSplat (.compressed.ply); save them as .ply "
@@ -153,6 +157,10 @@ def _assembled(elements: Mapping[str, Columns], name: str) -> CloudFile:
     cloud = cloud_of(vertex, name)
     if not len(cloud.points):
         raise ValueError("no points")
+    drawn = {*map(plain, elements.get("face", {}))} & _DRAWN | {*map(plain, vertex)} & {"textureu", "u", "s"}
+    if cloud.colors is None and drawn:
+        told = f"{name}: {', '.join(sorted(drawn))}: colours of faces and textures are not read, only those of vertices"
+        warnings.warn(told, stacklevel=4)
     return cloud._replace(faces=_faces(elements, len(cloud.points), name))
 
 

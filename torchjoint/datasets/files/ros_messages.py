@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -144,6 +145,8 @@ def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
         values = np.ascontiguousarray(rows[:, field.offset : end]).view(kind)
         columns[field.name] = values[:, 0] if number == 1 else values
     cloud = cloud_of(columns, name)
+    if cloud.normals is not None:
+        warnings.warn(f"{name}: normals of scans are not read", stacklevel=3)
     finite, returned = cloud.points.isfinite().all(1), cloud.points.any(1)
     kept = repaired(cloud._replace(points=cloud.points.double(), normals=None).chosen(finite & returned), name)
     return kept, int((finite & ~returned).sum())

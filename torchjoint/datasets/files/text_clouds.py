@@ -51,18 +51,18 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         if names is not None and len(names) == rows.shape[1]:
             no_twice((name for name in names if not NOT_READ.fullmatch(plain(name))), "column")
             return cloud_of(dict(zip(names, rows.T, strict=True)), str(path))
-        is_prose = data[:start].lstrip().startswith((b"#", b"//"))
-        if names is not None and not is_prose and tuple(map(plain, names[:3])) != POINTS[0]:
-            raise ValueError(f"expected {len(names)} columns ({', '.join(names)}), got {rows.shape[1]}")
+        if names is not None and not data.startswith((b"#", b"//")):  # a comment may only mention x, y and z
+            some = ", ".join(names)[:80]
+            raise ValueError(f"{len(names)} names of columns, {some}, but {rows.shape[1]} numbers a row; name all")
         return cloud_of_rows(rows, is_pts=count is not None or path.suffix.lower() == ".pts")
 
 
 def _as_utf8(data: bytes) -> bytes:
-    """Text without the mark of its encoding, with line ends of Unix."""
+    """Text without the mark of its encoding and without quotes, with line ends of Unix."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         with damage_is("expected text"):
             data = data.decode("utf-16").encode()
-    return data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b'"', b"")
 
 
 def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int | None]:
@@ -72,8 +72,10 @@ def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int |
         end = data.find(b"\n", start) + 1 or len(data)
         line = data[start:end].decode("utf-8", "replace").strip()
         is_comment = line.startswith(("#", "//"))
-        words = [word.strip('"') for word in re.split(r"[\s,;]+", _UNIT.sub("", line.lstrip("#/ "))) if word]
-        if words and (is_comment or not _is_number(words[0])):
+        mark = next((mark for mark in ";," if mark in line), None)
+        line = _UNIT.sub("", line.lstrip("#/ ")).removesuffix(mark or " ")
+        words = [word.strip() for word in line.split(mark)]
+        if words and (is_comment or not _is_number(words[0] or words[-1])):
             if {plain(word) for word in words}.issuperset(POINTS[0]):
                 names = words
             elif not is_comment:
@@ -97,9 +99,10 @@ def _numbers(text: bytes, first: int, path: Path) -> Array:
         text = text.replace(b",", b".")  # decimal commas
     elif delimiter == "," and len(line.split()) > 2 and not re.search(rb",\s", line):
         raise ValueError(f"{path}: line {first}: expected decimal points, got commas in {_shown(line)}; replace them")
-    text = (
-        re.sub(rb"[;,][ \t]*(?=\n|$)", b"", text) if delimiter and line.rstrip().endswith(delimiter.encode()) else text
-    )
+    if delimiter and line.rstrip().endswith(delimiter.encode()):
+        text = re.sub(rb"[;,][ \t]*(?=\n|$)", b"", text)
+    if delimiter:  # an empty field is no number
+        text = re.sub(rb"([;,])[ \t]*(?=[;,\n]|$)", rb"\1nan", text)
     if not text.strip():
         raise ValueError(f"{path}: expected a row of x y z for each point, got no rows")
     try:
@@ -145,16 +148,16 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
     values = rows.astype(np.float64)
     used, found = 3, ["x y z"]
     parts: dict[str, Array] = {}
-    if rows.shape[1] >= 7 and (is_pts or not _are_bytes(values[:, 3])) and _are_bytes(values[:, 4:7]):
+    if rows.shape[1] >= 7 and (is_pts or not _are_bytes(values[:, 3])) and _are_bytes(_known(values[:, 4:7])):
         parts["colors"], used = values[:, 4:7], 7
         found.append("colours behind an intensity")
     while rows.shape[1] >= used + 3:
-        three = values[:, used : used + 3]
+        three = _known(values[:, used : used + 3])
         if "normals" not in parts and _are_unit(three):
-            parts["normals"] = three
+            parts["normals"] = values[:, used : used + 3]
             found.append("normals")
         elif "colors" not in parts and three.size and three.min() >= 0 and three.max() <= 255:
-            parts["colors"] = three
+            parts["colors"] = values[:, used : used + 3]
             found.append("colours")
         else:
             break
@@ -172,6 +175,10 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
         unit_colors(parts["colors"]) if "colors" in parts else None,
         normals,
     )
+
+
+def _known(values: Array) -> Array:
+    return values[~np.isnan(values).any(1)]
 
 
 def _are_bytes(values: Array) -> bool:

@@ -1,8 +1,9 @@
 """Reads a LiDAR cloud and one image, with a calibration or an initial guess of the calibration.
 
-pointcloud.pcd       metres; points without a return (NaN) are left out
+pointcloud.pcd       metres; points without a return (NaN, or 0 0 0) are left out
 image.png            (or .jpg)
-camera_info.json     {"K": [9 numbers], row-major, "D": OpenCV's lens distortion, optional: the image is undistorted}
+camera_info.json     {"K": [9 numbers], row-major; optional "D": OpenCV's lens distortion, "distortion_model" and
+                     the "width" and "height" of K}: the image is undistorted
 extrinsic.txt        4x4, world-to-camera (LiDAR to camera, OpenCV axes)
 initial_guess.json   instead of extrinsic.txt: {"x", "y", "z", "r_deg", "p_deg", "y_deg"}, also LiDAR to camera: first
                      the rotation Rx(r) Ry(p) Rz(y), then the translation, metres. 90, 0, 90 degrees turn a LiDAR's
@@ -29,9 +30,12 @@ from torchjoint.datasets.recording import Options
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene
-from torchjoint.scene.checks import as_pose
+from torchjoint.scene.checks import as_pose, kept_points
 
 WHAT = "pointcloud.pcd, image.png (or .jpg), camera_info.json and extrinsic.txt or initial_guess.json"
+
+
+_LENSES = ("plumb_bob", "rational_polynomial", "equidistant")
 
 
 def recognizes(path: Path) -> bool:
@@ -43,7 +47,8 @@ def load(path: Path, options: Options) -> Scene:
     """Loads the folder; see :func:`torchjoint.load_scene`."""
     file = path / "pointcloud.pcd"
     cloud = read_pcd(file).cloud(str(file))
-    cloud = repaired(cloud.chosen(cloud.points.isfinite().all(1)), str(file))
+    cloud = cloud.chosen(cloud.points.isfinite().all(1))
+    cloud = repaired(cloud.chosen(kept_points(cloud.points, str(file), "keep", "drop any")), str(file))
     camera, pose = _read_camera(path / "camera_info.json"), _read_pose(path)
     image = next((path / name for name in ("image.png", "image.jpg") if has_file(path / name)), None)
     if image is None:
@@ -59,7 +64,12 @@ def _read_camera(path: Path) -> Camera:
     if count not in (0, 4, 5, 8):
         raise ValueError(f"{path}: D: expected 4, 5 or 8 numbers as of OpenCV, got {count}")
     lens = tuple(record.numbers("D", count).tolist()) if count else ()
-    return Camera(record.numbers("K", 9).view(3, 3), distortion=lens, name=str(path))
+    model = record.text("distortion_model", "") or "plumb_bob"
+    if model not in _LENSES:
+        raise ValueError(f"{path}: distortion_model: expected one of {', '.join(_LENSES)}, got {model!r}")
+    size = round(record.number("height", 0)), round(record.number("width", 0))
+    K = record.numbers("K", 9).view(3, 3)
+    return Camera(K, size if all(size) else None, lens, str(path), fisheye=model == "equidistant")
 
 
 def _read_pose(path: Path) -> Tensor:

@@ -4,7 +4,7 @@ transforms.json          `frames`, each with `file_path` and `transform_matrix`:
                          up, z back). Intrinsics `fl_x fl_y cx cy w h`, or `camera_angle_x`, and distortion `k1 k2 p1 p2
                          k3` (of a fisheye `k1 k2 k3 k4`) are given per frame, or once for all frames. Pixel centres are
                          at 1/2.
-images, anywhere below   8-bit; a `file_path` without suffix means a .png
+images, anywhere below   8-bit; a `file_path` without suffix means a .png, or else a .jpg
 `depth_file_path`        of a frame (optional): depth along z at any resolution. A 16-bit .png, or a .npy of integers,
                          has units of `depth_unit_scale_factor` metres (default 0.001); a .npy of floating numbers is in
                          metres, times this factor if the file gives one
@@ -40,6 +40,9 @@ WHAT = "transforms.json, as of nerfstudio (or a file of that kind itself)"
 
 _PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL")
 _FISHEYE = "OPENCV_FISHEYE"
+_FOCAL = {"fl_x", "fl_y", "camera_angle_x", "camera_angle_y"}
+#: Of a `file_path` without suffix, in this order.
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")
 
 
 class _Shot(NamedTuple):
@@ -74,7 +77,11 @@ def load(path: Path, options: Options) -> Scene:
 def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     """Returns the frames of transforms.json, sorted by file name; each frame is read on access."""
     for_all = {key: value for key, value in record.values.items() if key != "frames"}
-    frames = [Record(for_all | dict(frame.values), frame.name) for frame in record.records("frames")]
+    shared = {key: value for key, value in for_all.items() if key not in _FOCAL}  # with a frame of its own focal length
+    frames = [
+        Record((for_all if _FOCAL.isdisjoint(frame.values) else shared) | dict(frame.values), frame.name)
+        for frame in record.records("frames")
+    ]
     shots = sorted((_shot(file, frame) for frame in frames), key=lambda shot: shot.color)
     if not shots:
         raise ValueError(f"{file}: frames: expected at least one, got none")
@@ -88,8 +95,8 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
 
 def _shot(file: Path, frame: Record) -> _Shot:
     color = _inside(file, frame, "file_path")
-    png = color.with_name(color.name + ".png")
-    color = png if has_file(png) and not has_file(color) else color
+    named = [color, *(color.with_name(color.name + suffix) for suffix in _SUFFIXES)]
+    color = next((one for one in named if has_file(one)), color)
     depth = _inside(file, frame, "depth_file_path") if "depth_file_path" in frame else None
     for needed in (color, depth):
         if needed is not None and not has_file(needed):

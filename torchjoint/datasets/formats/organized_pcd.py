@@ -82,7 +82,11 @@ def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor
     for axis, pixel in enumerate((place % width, place.div(width, rounding_mode="floor"))):
         slope, pixel = points[place, axis].double() / points[place, 2].double(), pixel.double()
         if len(place) < 2 or float(slope.max() - slope.min()) < 1e-6:
-            raise ValueError(f"{path}: {len(place)} points with depth are too few, or too close, to find intrinsics")
+            told = f"{path}: {len(place)} points with depth are too few, or too close, to find intrinsics"
+            if len(place) >= int((points[:, 2] < 0).sum()):
+                raise ValueError(told)
+            warnings.warn(f"{told}: read as a cloud alone, without an image", stacklevel=3)
+            return None
         away = slope - slope.mean()
         focal = (away * (pixel - pixel.mean())).sum() / (away * away).sum()
         center = pixel.mean() - focal * slope.mean()

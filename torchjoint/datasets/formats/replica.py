@@ -38,7 +38,7 @@ def load(path: Path, options: Options) -> Scene:
     if not scale > 0:
         raise ValueError(f"{values.name}: scale: expected steps per metre, > 0, got {scale:g}")
     camera, poses = _camera(values), _read_poses(path / "traj.txt")
-    images = sorted((path / "results").glob("frame*.jpg"))
+    images = sorted((path / "results").glob("frame*.jpg"), key=lambda file: (len(file.stem), file.stem))
     if not 0 < len(poses) <= len(images):
         raise ValueError(f"{path / 'traj.txt'}: expected {len(images)} poses, one for each image, got {len(poses)}")
     tell_left_out(str(path), len(images) - len(poses), len(images))

@@ -222,17 +222,14 @@ def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tupl
             points, colors, thinned = points[kept], colors[kept], len(kept)
     if not len(points):
         raise ValueError(f"{bag.path}: no scan of {topic} has points and a pose within {poses.limit} s")
-    for told in (
-        f"{len(stamps) - used} of {len(stamps)} scans have no pose within {poses.limit} s"
-        if used < len(stamps)
-        else "",
-        f"{bag.counts[topic] - len(stamps)} of {bag.counts[topic]} scans have the time of another in their header"
-        if len(stamps) < bag.counts[topic]
-        else "",
-        f"{without} of {given} points are (0, 0, 0), beams without return" if without else "",
-        f"{used - colored} of {used} scans have no colours, so those of the others" if 0 < colored < used else "",
+    total = bag.counts[topic]
+    for count, of, told in (
+        (len(stamps) - used, len(stamps), f"scans have no pose within {poses.limit} s"),
+        (total - len(stamps), total, "scans have the time of another in their header"),
+        (without, given, "points are (0, 0, 0), beams without return"),
+        (colored and used - colored, used, "scans have no colours, so those of the others"),
     ):
-        if told:
-            warnings.warn(f"{bag.path}: {topic}: {told}; they are left out", stacklevel=3)
+        if count:
+            warnings.warn(f"{bag.path}: {topic}: {count} of {of} {told}; they are left out", stacklevel=3)
     kept = voxel_subsample(points, voxel_size)
     return points[kept], colors[kept] if colored == used else None

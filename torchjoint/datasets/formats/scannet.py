@@ -18,6 +18,7 @@ cameras nor SCAN.txt's axis alignment are applied.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,17 +121,23 @@ def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
     if len(set(stems)) < len(stems):
         twice = next(stem for stem in stems if stems.count(stem) > 1)
         raise ValueError(f"{folder / 'color'}: frame {twice!r} has two colour images")
-    poses = [read_matrix(folder / "pose" / f"{stem}.txt", (4, 4)) for stem in stems]
+    return frames_of(folder, images, cameras, (folder / "pose", folder / "depth"))
+
+
+def frames_of(folder: Path, images: Sequence[Path], cameras: Cameras, beside: tuple[Path, Path]) -> LazySequence[Frame]:
+    """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
+    pose_files = [beside[0] / f"{file.stem}.txt" for file in images]
+    poses = [read_matrix(file, (4, 4)) for file in pose_files]
     kept = [i for i, pose in enumerate(poses) if torch.isfinite(pose).all()]
     tell_left_out(str(folder), len(images) - len(kept), len(images))
-    extrinsics = {i: invert_pose(as_pose(poses[i], str(folder / "pose" / f"{stems[i]}.txt"))) for i in kept}
+    extrinsics = {i: invert_pose(as_pose(poses[i], str(pose_files[i]))) for i in kept}
 
     def read(place: int) -> Frame:
-        i = kept[place]
-        image, depth = read_image(images[i]), folder / "depth" / f"{stems[i]}.png"
-        return make_frame(stems[i], image, read_depth(depth) if has_file(depth) else None, cameras, extrinsics[i])
+        file, pose = images[kept[place]], extrinsics[kept[place]]
+        depth = beside[1] / f"{file.stem}.png"
+        return make_frame(file.stem, read_image(file), read_depth(depth) if has_file(depth) else None, cameras, pose)
 
-    return LazySequence(len(kept), read, [stems[i] for i in kept])
+    return LazySequence(len(kept), read, [images[i].stem for i in kept])
 
 
 def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras, world_to_camera: Tensor) -> Frame:

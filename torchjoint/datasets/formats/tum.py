@@ -30,7 +30,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera, interpolate_poses, pinhole_matrix
 from torchjoint.datasets.files.readers import read_matrix
 from torchjoint.datasets.files.text import frame_names, parse_numbers, path_inside, read_lines
-from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames, tell_left_out
+from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
@@ -73,7 +73,8 @@ def read_frames(path: Path) -> Sequence[Frame]:
     kept = [(index, pose) for index, pose in enumerate(poses) if pose is not None]
     if not kept:
         raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
-    tell_left_out(str(path), len(poses) - len(kept), len(poses), f"have no pose within {TOLERANCE} s,")
+    left, files = len(poses) - len(kept), [file.path for file in colors]
+    tell_unlisted(str(path), files, left, f"have no pose within {TOLERANCE} s,")
     camera, shots = _camera(path), []
     names = frame_names([str(colors[index].path) for index, _ in kept])
     for (index, pose), name in zip(kept, names, strict=True):

@@ -87,15 +87,24 @@ class Boundaries(NamedTuple):
     def quantiles(self, shares: Sequence[float]) -> dict[str, Tensor]:
         """Quantiles of each measure, [Q, len(shares)] float32, NaN without a value.
 
-        The quantile q of n values is the one at place (n - 1) q in ascending order, rounded; instead of it, the mean of
-        all values in its bin is given.
+        The quantile q of n values is the one at place (n - 1) q + 1/2 of n. The mean of a bin is at the middle of its
+        places; between two means the quantile is linear, so that it moves only a little where a value changes its bin.
         """
-        up_to = self.binned.cumsum(2).flatten(0, 1)  # [Q M, BINS]
-        place = ((up_to[:, -1:] - 1) * torch.tensor(shares)).round()
-        bin_ = torch.searchsorted(up_to, place, right=True).clamp_(max=BINS - 1)
-        total, count = (sums.flatten(0, 1).gather(1, bin_) for sums in (self.total, self.binned))
-        found = (total / count).view(len(self.num_edges), len(MEASURES), len(shares))
-        return dict(zip(MEASURES, found.unbind(1), strict=True))
+        count, total = self.binned.flatten(0, 1), self.total.flatten(0, 1)  # [Q M, BINS]
+        up_to = count.cumsum(1)
+        place = (up_to[:, -1:] - 1) * torch.tensor(shares) + 0.5
+        own = torch.searchsorted(up_to, place, right=True).clamp_(max=BINS - 1)
+        end, size = up_to.gather(1, own), count.gather(1, own)
+        is_lower = place < end - size / 2
+        beside = torch.where(
+            is_lower, torch.searchsorted(up_to, end - size), torch.searchsorted(up_to, end, right=True)
+        )
+        beside = torch.where(torch.where(is_lower, end > size, end < up_to[:, -1:]), beside, own)  # at the ends: none
+        middles, means = up_to - count / 2, total / count
+        mean, middle = means.gather(1, own), middles.gather(1, own)
+        share = (place - middle) / (middles.gather(1, beside) - middle)
+        found = torch.lerp(mean, means.gather(1, beside), share.nan_to_num(0, 0, 0))
+        return dict(zip(MEASURES, found.view(len(self.num_edges), len(MEASURES), len(shares)).unbind(1), strict=True))
 
 
 def _bins(values: Tensor, measure: int) -> Tensor:

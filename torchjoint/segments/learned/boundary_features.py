@@ -150,7 +150,7 @@ def _in_order(columns: Columns, count: int) -> Tensor:
     """The values [count, F] float32 in the order of FEATURE_NAMES; NaN for a column that is missing."""
     if unknown := columns.keys() - set(FEATURE_NAMES):
         raise KeyError(f"features: {sorted(unknown)} are not in FEATURE_NAMES")
-    missing = torch.full((count,), torch.nan)
+    missing = torch.full((count,), torch.nan, dtype=torch.float32)
     return torch.stack([columns[name].float() if name in columns else missing for name in FEATURE_NAMES], 1)
 
 

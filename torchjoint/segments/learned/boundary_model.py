@@ -219,7 +219,9 @@ def save_boundary_model(path: Path, model: BoundaryModel) -> None:
             archive.writestr(entry, content.getvalue(), compresslevel=9)
 
 
-def load_boundary_model(path: str | Path | None = None) -> BoundaryModel:
+def load_boundary_model(
+    path: str | Path | None = None, features: tuple[str, ...] = FEATURE_NAMES, packaged: str | None = None
+) -> BoundaryModel:
     """Reads and checks a model.
 
     The file may come from anyone: reading it runs no code, and its arrays may take at most LARGEST bytes.
@@ -227,25 +229,27 @@ def load_boundary_model(path: str | Path | None = None) -> BoundaryModel:
     Args:
         path: a file of :func:`save_boundary_model`; None: the model that comes with the package; a process
             reads it only once.
+        features: the names that it must have.
+        packaged: name of the model that comes with the package, of PACKAGED if None.
     """
     if path is None:
-        return _packaged_model()
+        return _packaged_model(features, packaged or PACKAGED)
     path = Path(path)
     if not has_file(path):
         raise FileNotFoundError(f"{path}: missing; expected a model of `torchjoint-lab train-boundary-model`, NAME.npz")
     try:
-        return _model(_read_arrays(path))
+        return _model(_read_arrays(path), features)
     except (ValueError, TypeError) as error:
         raise ValueError(f"{path}: not a model of boundaries: {error}") from error
 
 
-@lru_cache(maxsize=1)
-def _packaged_model() -> BoundaryModel:
-    with as_file(files("torchjoint.models") / PACKAGED) as path:
-        return load_boundary_model(path)
+@lru_cache(maxsize=2)
+def _packaged_model(features: tuple[str, ...], packaged: str) -> BoundaryModel:
+    with as_file(files("torchjoint.models") / packaged) as path:
+        return load_boundary_model(path, features)
 
 
-def _model(arrays: dict[str, NDArray[Any]]) -> BoundaryModel:
+def _model(arrays: dict[str, NDArray[Any]], features: tuple[str, ...]) -> BoundaryModel:
     def take(name: str, kind: str, dimensions: int) -> NDArray[Any]:
         if name not in arrays:
             raise ValueError(f"{name}: missing")
@@ -259,8 +263,8 @@ def _model(arrays: dict[str, NDArray[Any]]) -> BoundaryModel:
     if version != [_FORMAT]:
         raise ValueError(f"format: expected [{_FORMAT}], got {version[:3]}; from another version of torchjoint?")
     names = tuple(take("feature_names", "U", 1).tolist())
-    if names != FEATURE_NAMES:
-        raise ValueError(_other_features(names))
+    if names != features:
+        raise ValueError(_other_features(names, features))
     thresholds = tuple(take("thresholds", "f", 1).tolist())
     baselines = take("baselines", "f", 2)
     if not 1 <= len(thresholds) <= MOST_ROUNDS or baselines.shape[1] != len(thresholds):
@@ -286,13 +290,13 @@ def _model(arrays: dict[str, NDArray[Any]]) -> BoundaryModel:
     return BoundaryModel(tuple(members))
 
 
-def _other_features(names: tuple[str, ...]) -> str:
-    pairs = zip(names, FEATURE_NAMES, strict=False)
+def _other_features(names: tuple[str, ...], features: tuple[str, ...]) -> str:
+    pairs = zip(names, features, strict=False)
     place = next((i for i, (have, want) in enumerate(pairs) if have != want), min(len(names), len(FEATURE_NAMES)))
-    have, want = (repr(all_[place][:80]) if place < len(all_) else "none" for all_ in (names, FEATURE_NAMES))
+    have, want = (repr(all_[place][:80]) if place < len(all_) else "none" for all_ in (names, features))
     return (
         f"feature_names: trained on other features than this version computes ({len(names)} instead of "
-        f"{len(FEATURE_NAMES)}; number {place} is {have} instead of {want}); train it again"
+        f"{len(features)}; number {place} is {have} instead of {want}); train it again"
     )
 
 

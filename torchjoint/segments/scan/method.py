@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
@@ -14,13 +15,14 @@ from torchjoint.cloud.local import LocalFrame, local_cloud
 from torchjoint.cloud.neighbors import SPACING_NEIGHBORS
 from torchjoint.config import Config, ScanConfig
 from torchjoint.ops.internal import local_spacing
-from torchjoint.runtime.groups import numbers_by_first_place
 from torchjoint.runtime.threads import all_threads, one_thread_per_operation, parallel_map
-from torchjoint.scene import Cloud
+from torchjoint.scene import Cloud, Hierarchy
 from torchjoint.scene.checks import as_points
+from torchjoint.segments.scan.cut import falls_apart, gain_of_parts, levels_of, load_scan_model
 from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, ground_below, grow_ground
 from torchjoint.segments.scan.recognition import Directions, Rings, directions, find_rings, look_for_scan
+from torchjoint.segments.scan.tree import Tree, grow_tree
 from torchjoint.views.evidence import Evidence
 
 #: Largest mean distance of a point of the ground to its nearest neighbours, in allowed gaps: the ground is denser than
@@ -36,10 +38,7 @@ def segment_scan(
 ) -> Tensor:
     """Segments one scan of a LiDAR, without training, colours or normals.
 
-    Points on the ground (:func:`~torchjoint.segments.scan.ground.grow_ground`) are one segment. All other points
-    are connected with their nearest neighbours over at most the gap that is allowed at the range of the nearer one,
-    `gap` + `gap_growth` r, and connected points are a segment (:class:`~torchjoint.segments.scan.gaps.Gaps`). Distances
-    are those after the rings were moved closer together (:func:`with_near_rings`).
+    They are the default level of :func:`segment_levels`.
 
     Args:
         points: [N, 3] metres, z up, the sensor at the origin.
@@ -53,17 +52,43 @@ def segment_scan(
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
     """
-    config = config or ScanConfig()
+    return segment_levels(points, config, rings).at()
+
+
+def segment_levels(
+    points: Tensor,
+    config: ScanConfig | None = None,
+    rings: Rings | Literal["search"] | None = "search",
+    model: Path | None = None,
+) -> Hierarchy:
+    """The segments of one scan of a LiDAR at all levels.
+
+    Points on the ground (:func:`~torchjoint.segments.scan.ground.grow_ground`) are one segment. All other points
+    are connected with their nearest neighbours over at most a share of the gap that is allowed at the range of the
+    nearer one, `gap` + `gap_growth` r (:class:`~torchjoint.segments.scan.gaps.Gaps`). Larger shares connect more, so
+    that the connected parts are a tree (:func:`~torchjoint.segments.scan.tree.grow_tree`). For each node, boosted trees
+    say whether it is a thing, or its parts are (:func:`~torchjoint.segments.scan.cut.falls_apart`). Distances are those
+    after the rings were moved closer together (:func:`with_near_rings`).
+
+    Arguments and errors are those of :func:`segment_scan`; `model`: file of another model than the packaged one.
+    """
     with torch.no_grad(), one_thread_per_operation():
-        gaps, on_ground = scan_gaps(points, config, rings)
-        labels = gaps.components(~on_ground, config.min_size)
-        return numbers_by_first_place(labels, int(labels.max()) + 1)[labels]
+        tree = scan_tree(points, config or ScanConfig(), rings)
+        return levels_of(tree, falls_apart(tree, gain_of_parts(tree, load_scan_model(model))), len(points))
 
 
-def scan_gaps(points: Tensor, config: ScanConfig, rings: Rings | Literal["search"] | None) -> tuple[Gaps, Tensor]:
-    """The points over the profiles of the ground, with their neighbours; and [N] bool, all points on the ground.
+def scan_tree(points: Tensor, config: ScanConfig, rings: Rings | Literal["search"] | None) -> Tree:
+    """The tree of all points that are not on the ground; arguments and errors are those of :func:`segment_scan`."""
+    gaps, on_ground, height = scan_gaps(points, config, rings)
+    return grow_tree(gaps, ~on_ground, points.float(), height, config.min_size)
 
-    Arguments and errors are those of :func:`segment_scan`.
+
+def scan_gaps(
+    points: Tensor, config: ScanConfig, rings: Rings | Literal["search"] | None
+) -> tuple[Gaps, Tensor, Tensor]:
+    """The points over the profiles of the ground, with their neighbours; [N] bool, all points on the ground; heights.
+
+    Heights [N] float64 are those above the profiles. Arguments and errors are those of :func:`segment_scan`.
     """
     points = as_points(points).float()
     seen, height = directions(points), points[:, 2].double()
@@ -77,7 +102,7 @@ def scan_gaps(points: Tensor, config: ScanConfig, rings: Rings | Literal["search
     height, rings = height - below, found[0] if rings == "search" else rings
     drawn = with_near_rings(points, seen, rings, config)
     gaps = Gaps.of(drawn, gap, torch.nonzero(height >= GROUND_HEIGHT).flatten())
-    return gaps, grow_ground(points, height, seen, gaps, config, _or_all(spacing < torch.inf))
+    return gaps, grow_ground(points, height, seen, gaps, config, _or_all(spacing < torch.inf)), height
 
 
 def _or_all(used: Tensor) -> Tensor | None:
@@ -113,10 +138,14 @@ def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
 
 
 def segment(
-    graph: PointGraph, evidence: Evidence, config: Config, rings: Rings | Literal["search"] | None = "search"
-) -> Tensor:
-    """Labels [N] int64 of the ground and of the objects on it; `rings` as for :func:`segment_scan`."""
-    return segment_scan(graph.points, config.scan, rings)
+    graph: PointGraph,
+    evidence: Evidence,
+    config: Config,
+    rings: Rings | Literal["search"] | None = "search",
+    model: Path | None = None,
+) -> Hierarchy:
+    """The ground and the objects on it at all levels; `rings` and `model` as for :func:`segment_levels`."""
+    return segment_levels(graph.points, config.scan, rings, model)
 
 
 def measured(graph: PointGraph) -> str:
