@@ -129,8 +129,11 @@ def test_parts_are_all_that_a_result_has(result, tmp_path):
     assert parts_of(result / "points.ply") == [result / "points.ply"]
 
 
-def test_parameters_that_lie_in_the_output(run, result, tmp_path):
-    (tmp_path / "result" / "mine.yaml").write_text("")
+@pytest.mark.parametrize("option", ["--preset={}.yaml", "--set=point_segments.method={}.npz"])
+def test_parameters_that_lie_in_the_output(run, result, tmp_path, option):
+    for name in ("mine.yaml", "mine.npz"):
+        (tmp_path / "result" / name).write_text("")
+    option = option.format(result / "mine")
     for command in ("segment", "live"):
-        with pytest.raises(SystemExit, match=r"-o: expected a folder that does not contain the input, .*mine\.yaml"):
-            run(command, tmp_path, "-o", result, "--preset", result / "mine.yaml", "--overwrite")
+        with pytest.raises(SystemExit, match=r"-o: expected a folder that does not contain the input, .*mine\.[yn]"):
+            run(command, tmp_path, "-o", result, option, "--overwrite")

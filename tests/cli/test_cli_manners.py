@@ -1,6 +1,7 @@
 """Small things a person meets: versions, presets, pipes, interrupts, types."""
 
 import dataclasses
+import io
 import os
 import re
 import subprocess
@@ -72,6 +73,15 @@ def test_parameters_of_one_stage(run, capsys):
     assert text.count("**") == 2
     with pytest.raises(SystemExit, match="nope: unknown stage, expected one of boundary, "):
         run("parameters", "nope")
+
+
+def test_a_terminal_without_the_letters_of_a_name(run, tmp_path, monkeypatch):
+    """The work was done, and then the command failed."""
+    np.save(tmp_path / "cloud.npy", np.random.default_rng(0).random((500, 3)))
+    printed = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, "ascii"))
+    run("superpoints", tmp_path / "cloud.npy", "-o", tmp_path / "\u03c0.npy", "--no-picture")
+    assert rb"\u03c0.npy" in printed.getvalue()
 
 
 @pytest.mark.slow

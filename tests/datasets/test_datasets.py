@@ -86,8 +86,14 @@ def test_frames_alone_are_loaded_without_fusing(tmp_path, synthetic, monkeypatch
     assert len(whole.points) == len(synthetic.scene.points)
 
 
-def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch):
+@pytest.mark.parametrize("northing", [0.0, 4_000_000.0])
+def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch, northing):
+    """Far from the origin it is float64; from the cache it came as float32, wrong by half a metre."""
     recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
+    for file in recording.glob("*.pose.txt"):
+        pose = np.loadtxt(file)
+        pose[1, 3] += northing
+        np.savetxt(file, pose)
     fused = tj.load_scene(recording, voxel_size=0.05)  # without a cache
     monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
     first = tj.load_scene(recording, voxel_size=0.05)
@@ -95,6 +101,7 @@ def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch):
     monkeypatch.setattr("torchjoint.datasets.fusion._fused", lambda *_, **__: 1 / 0)
     again = tj.load_scene(recording, voxel_size=0.05)
     for scene in (first, again):
+        assert scene.points.dtype == fused.points.dtype
         assert torch.equal(scene.points, fused.points)
         assert torch.equal(scene.colors, fused.colors)
     with pytest.raises(ZeroDivisionError):  # another voxel size is another cloud
@@ -329,6 +336,33 @@ class TestFingerprint:
         assert fingerprint(tmp_path / "recording") == before
         (tmp_path / "images" / "0.png").write_bytes(b"other")
         assert fingerprint(tmp_path / "recording") != before
+
+    @pytest.mark.parametrize(
+        ("recording", "file"),
+        [
+            ("replica/room0", "replica/cam_params.json"),
+            ("replica/room0", "replica/room0_mesh.ply"),
+            ("posed_images/scene0000_00", "scans/scene0000_00/scene0000_00_vh_clean_2.ply"),
+            ("scene/dslr", "scene/scans/mesh_aligned_0.05.ply"),
+            ("scene/sparse/0", "scene/images/left/0.jpg"),
+            ("scene/sparse/0", "scene/dense/0/fused.ply"),
+            ("scene/colmap", "scene/images/0.jpg"),
+        ],
+    )
+    def test_what_lies_around_it(self, recording, file, tmp_path):
+        """A cloud that was fused with another camera was taken from the cache."""
+        recording, file = tmp_path / recording, tmp_path / file
+        recording.mkdir(parents=True)
+        if "scene/" in str(recording):
+            (recording / ("transforms.json" if recording.name == "colmap" else "cameras.bin")).write_bytes(b"")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        found = {fingerprint(recording)}
+        for content in (b"one", b"other"):
+            file.write_bytes(content)
+            found.add(fingerprint(recording))
+        assert len(found) == 3
+        (recording.parent / "mine.txt").write_bytes(b"")
+        assert fingerprint(recording) in found
 
     def test_a_relative_path_is_the_same_recording(self, tmp_path, monkeypatch, scene_of):
         write_folder(tmp_path / "recording", scene_of(2))

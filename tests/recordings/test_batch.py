@@ -5,6 +5,7 @@ import importlib
 import shutil
 import sys
 from concurrent.futures import Future
+from contextlib import nullcontext
 
 import joblib
 import pytest
@@ -130,6 +131,18 @@ def test_other_parameters_are_not_mixed(done, scans):
         tj.batch(scans, done[0] / "a", engine=HereEngine())
     with lock(done[0] / ".batch.lock", ""), pytest.raises(FileExistsError, match="another batch is writing"):
         tj.batch(scans, done[0], engine=HereEngine())
+
+
+def test_a_model_that_was_trained_anew_is_another_parameter(tmp_path):
+    """The results of the earlier model were taken for done."""
+    model, scans = tmp_path / "mine.npz", tmp_path / "scans"
+    scans.mkdir()
+    (scans / "a.ply").write_text("no cloud")
+    config = tj.Config().set([f"point_segments.method={model}"])
+    for content in (b"one", b"two"):
+        model.write_bytes(content)
+        with pytest.raises(ValueError, match="expected the parameters of") if content == b"two" else nullcontext():
+            tj.batch(scans / "a.ply", tmp_path / "out", engine=HereEngine(), config=config)
 
 
 def test_tables_of_others_stay(scans, tmp_path):

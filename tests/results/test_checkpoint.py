@@ -7,7 +7,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint.results import checkpoint as module
-from torchjoint.results.checkpoint import Checkpoint
+from torchjoint.results.checkpoint import Checkpoint, run_key
 
 
 @pytest.fixture(scope="module")
@@ -91,3 +91,15 @@ def test_a_full_disk_leaves_the_last_state(tmp_path, segmenter, monkeypatch):
     assert {file.name: file.read_bytes() for file in (tmp_path / "state").iterdir()} == before
     monkeypatch.undo()
     assert checkpoint.load() is not None
+
+
+@pytest.mark.parametrize("parameter", ["point_segments.method", "boundary.model"])
+def test_a_model_that_was_trained_anew_is_another_run(tmp_path, parameter):
+    """The evidence of the earlier model was continued with the new one."""
+    model = tmp_path / "mine.npz"
+    config = tj.Config().set([f"{parameter}={model}"])
+    keys = {run_key("scan", config)}
+    for content in (b"one", b"two"):
+        model.write_bytes(content)
+        keys.add(run_key("scan", config))
+    assert len(keys) == 3

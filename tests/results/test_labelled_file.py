@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import resource
 
 import laspy
 import numpy as np
@@ -199,6 +200,17 @@ def test_meshes_of_other_formats(tmp_path, suffix):
     assert all(len(part.faces) == 2 for part in scene.geometry.values())
 
 
+def test_a_mesh_of_a_survey_is_as_exact_in_a_glb(tmp_path):
+    """Its vertices are float32 there, and stood in steps of a quarter of a metre."""
+    places = SQUARES.double() + torch.tensor([500_000.0, 4_000_000.0, 100.0])
+    rows = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in places.tolist()]
+    faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES.tolist()]
+    (tmp_path / "a.obj").write_text("\n".join([*rows, *faces]))
+    label_file(tmp_path / "a.obj", tmp_path / "b.glb", result_of(places, torch.zeros(len(places), dtype=torch.int64)))
+    found = meshes.read_mesh_file(tmp_path / "b.glb").points
+    assert (torch.cdist(places, found.double()).amin(1) < 1e-3).all()
+
+
 def test_points_on_a_mesh_are_even_and_in_its_colours():
     corners = torch.tensor([[0.0, 0, 0], [2, 0, 0], [0, 1, 0], [5, 0, 0], [5, 3, 0], [5, 0, 2]])
     with pytest.warns(UserWarning, match="are drawn on them"):
@@ -355,4 +367,16 @@ class TestSurvey:
             run("label", survey[1], survey[0], "-o", tmp_path / "out.ply")
         with pytest.raises(SystemExit, match="expected no dimension quality, got one; remove it first"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "quality")
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # laspy's file, as it is deleted
+    def test_a_full_disk_is_one_line(self, survey, run, tmp_path):
+        """lazrs does not say why it cannot write; files of at most 8 kB stand for the disk."""
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (8_000, limits[1]))
+        try:
+            with pytest.raises(SystemExit, match=r"out\.laz: cannot be written .* is the disk full\?"):
+                run("label", survey[1], survey[0], "-o", tmp_path / "out.laz")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert list(tmp_path.iterdir()) == []

@@ -5,6 +5,7 @@ import json
 import os
 import zipfile
 from dataclasses import replace
+from pathlib import PureWindowsPath
 
 import numpy as np
 import pytest
@@ -114,6 +115,11 @@ def test_a_recording_cannot_name_a_file_outside(run, place, tmp_path):
 def test_a_name_that_can_be_a_file_stays(name):
     assert file_name(name) == name
     assert file_name(name, is_free=False) != name
+
+
+@pytest.mark.parametrize("name", ["..\\..\\x", "C:x", "C:\\x"])
+def test_a_name_that_leads_out_of_a_folder_of_windows(name):
+    assert PureWindowsPath("out", file_name(name)).parent == PureWindowsPath("out")
 
 
 def test_different_names_have_different_files():

@@ -5,8 +5,11 @@ import subprocess
 import sys
 import threading
 import warnings
+from dataclasses import replace
 
+import numpy as np
 import pytest
+import torch
 
 import torchjoint as tj
 from torchjoint.results.edits import Edit, read_edits
@@ -48,6 +51,19 @@ def test_a_page_that_ends_has_no_thread_at_work(out):
     viewer.stop()
     assert not worker.is_alive()
     assert worker not in threading.enumerate()
+
+
+def test_a_survey_is_as_exact_as_a_room(out):
+    """The page has float32: its points stood in steps of a quarter of a metre."""
+    from torchjoint.viewer.app import Viewer
+
+    result = tj.load_result(out)
+    points = result.scene.points.double() + torch.tensor([500_000.0, 4_000_000.0, 100.0])
+    viewer = Viewer(replace(result, scene=replace(result.scene, points=points, frames=())), port=8990)
+    (part, *_), handle = viewer._cloud._parts, viewer._cloud._handles[0]
+    shown = handle.points.astype(np.float64) + handle.position
+    viewer.stop()
+    assert np.abs(shown - points.numpy()[part]).max() < 1e-3
 
 
 PROGRAM = """

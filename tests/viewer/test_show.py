@@ -1,5 +1,6 @@
 """torchjoint show: what it opens, with which scene, and what it says if it cannot."""
 
+import os
 import re
 import shutil
 import stat
@@ -126,6 +127,12 @@ def test_up_turns_the_page(run, out, tmp_path):
         run("show", out, "--static", tmp_path / f"{name}.html", *up)
         texts.append((tmp_path / f"{name}.html").read_text(encoding="utf-8"))
     assert texts[0] != texts[1]
+
+
+def test_a_page_of_a_result_whose_name_is_no_text(run, out, tmp_path):
+    shutil.copytree(out, other := tmp_path / os.fsdecode(b"other-\xff"))
+    run("show", other, "--static", tmp_path / "page.html")
+    assert "other-\\udcff: " in (tmp_path / "page.html").read_text()
 
 
 def test_corrections_are_in_the_static_page(run, out, tmp_path):

@@ -15,6 +15,7 @@ from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
 from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
 from torchjoint.recordings.playing import Played, computed_beside, play
+from torchjoint.results.checkpoint import model_checksums
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
 from torchjoint.runtime.messages import say
@@ -75,8 +76,8 @@ def live(
     view = growing_view(show)
     segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
     logged = nullcontext() if log_file is None else _logged(log_file)
-    key = f"live {scene.absolute()}"
-    with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite, inputs=(scene,)) as partial:
+    key, inputs = f"live {scene.absolute()}", (scene, *map(Path, model_checksums(config)))
+    with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite, inputs=inputs) as partial:
         assert partial is not None  # only runs with a key can be finished
         recording = load_scene(scene, topics=dict(read_topics(topics)), time_limit=time_limit, fuse=False)
         if not len(recording.frames):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 import warnings
@@ -42,6 +43,8 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         description: for `--help`.
         interrupted: the message after Ctrl-C about commands that can be resumed.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a name may have letters that the terminal lacks
+        sys.stdout.reconfigure(errors="backslashreplace")
     warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {on_terminal(str(message))}\n"
     if (cache := cache_folder()) is not None:  # else matplotlib writes its list of fonts to the home folder
         os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))

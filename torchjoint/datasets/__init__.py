@@ -72,6 +72,7 @@ def load_scene(
         least_opacity,
         fuse,
         format,
+        path,
     )
     if format is not None and format not in FORMATS:
         raise ValueError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")

@@ -173,7 +173,7 @@ def fuse_or_recall(
         except ValueError:
             break  # a damaged file is written anew
         _tell_without_depth(int(cached.stem.rpartition("-")[2]), len(frames))
-        return points.float(), colors
+        return points, colors
     points, colors, without = _fused(frames, voxel_size, progress)
     _tell_without_depth(without, len(frames))
     if file is not None:

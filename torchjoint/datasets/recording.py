@@ -41,6 +41,7 @@ class Options:
     least_opacity: float = 0.1  #: of the cloud, if it consists of Gaussian splats
     fuse: bool = True  #: False: one point stands for a cloud that would have to be fused
     format: str | None = None  #: name of the format; None: it was detected
+    recording: Path | None = None  #: the path that was given: of several recordings in a folder, one
 
 
 def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
@@ -53,7 +54,7 @@ def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, cloud
         return Scene(torch.zeros(1, 3), frames, name=path.name)
     made = None if options.cloud is None else Output(options.cloud, overwrite=False, option="cloud")
     how = f"{sorted(options.topics.items())} {options.time_limit} {options.format}"
-    points, colors = fuse_or_recall(path, frames, options.voxel_size, options.progress, how)
+    points, colors = fuse_or_recall(options.recording or path, frames, options.voxel_size, options.progress, how)
     if made is not None:
         with made.written() as file:
             write_cloud(file, points, colors)

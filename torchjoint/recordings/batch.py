@@ -20,6 +20,7 @@ from torchjoint.engine import Engine, Outcome, WorkerDied, open_engine
 from torchjoint.recordings.one_scene import Job, SceneReport, check_origin, is_done, report_of, run_scene
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_recordings
+from torchjoint.results.checkpoint import model_checksums
 from torchjoint.results.folder import read_origin
 from torchjoint.runtime.files import remove_partial_files, write_text
 from torchjoint.runtime.foreign_files import csv_text, read_text
@@ -233,6 +234,8 @@ def _check_record(job: Job) -> None:
     """Writes the parameters of a new batch to a file; a batch that is resumed must have the same parameters."""
     file = job.out / RECORD
     record = {"torchjoint": version("torchjoint"), "options": {**vars(job.options)}, "config": job.config.to_dict()}
+    if models := model_checksums(job.config):
+        record["models"] = models
     text = yaml.safe_dump(record, sort_keys=False)
     for name in (SUMMARY, FAILURES):
         if not file.is_file() and (job.out / name).is_file() and not job.overwrite:

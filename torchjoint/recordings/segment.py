@@ -20,7 +20,7 @@ from torchjoint.joint import JointSegmenter, observe
 from torchjoint.masks import read_folder
 from torchjoint.masks.folder import check_files
 from torchjoint.recordings.options import RecordingOptions
-from torchjoint.results.checkpoint import Checkpoint, run_key
+from torchjoint.results.checkpoint import Checkpoint, model_checksums, run_key
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import STATE, output_folder, own_files
 from torchjoint.runtime.files import file_checksum, write_text
@@ -141,7 +141,7 @@ def segment_recording(
     """
     options.check(config)
     as_bytes(memory, "--memory")
-    check_no_input(out, (path, masks))  # before their files are looked at
+    check_no_input(out, (path, masks, *map(Path, model_checksums(config))))  # before their files are looked at
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")

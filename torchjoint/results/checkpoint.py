@@ -13,7 +13,7 @@ import yaml
 
 from torchjoint.config import Config
 from torchjoint.runtime import bounds
-from torchjoint.runtime.files import write_text
+from torchjoint.runtime.files import file_checksum, write_text
 from torchjoint.runtime.foreign_files import has_file, read_text
 from torchjoint.runtime.store import read_values, write_values
 from torchjoint.views.evidence import Evidence
@@ -98,11 +98,18 @@ def _is_of_run(key_file: Path, known: str) -> bool:
 
 
 def run_key(source: str, config: Config) -> str:
-    """Identifies a run: a hash of its source, its parameters and the package's version.
+    """Identifies a run: a hash of its source, its parameters, the models that they name, and the package's version.
 
     Args:
         source: describes the run's input (for a recording: its files and their modification times).
         config: the parameters.
     """
-    record = yaml.safe_dump([version("torchjoint"), source, config.to_dict()])
+    record = yaml.safe_dump([version("torchjoint"), source, config.to_dict(), model_checksums(config)])
     return hashlib.sha256(record.encode()).hexdigest()
+
+
+def model_checksums(config: Config) -> dict[str, str]:
+    """The checksum of each file that the parameters name: a model may be trained anew under its old name."""
+    method = config.point_segments.method
+    named = (config.boundary.model, method if method.endswith(".npz") else None)
+    return {name: file_checksum(Path(name)) for name in named if name is not None and has_file(Path(name))}

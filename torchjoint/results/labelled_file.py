@@ -7,7 +7,8 @@ vertices than the result has points: those that were thinned out, faint splats, 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,10 @@ def write_labelled(
     laspy, done = las_library(), 0
     with open_las(path, only_places=False) as reader:
         header = _header(laspy, reader.header, columns)
-        with laspy.open(out, "w", header=header, do_compress=out.suffix.lower() == ".laz") as writer:
+        with (
+            _disk_errors(out),
+            laspy.open(out, "w", header=header, do_compress=out.suffix.lower() == ".laz") as writer,
+        ):
             for chunk in las_chunks(reader, path):
                 record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=writer.header)
                 for name in chunk.array.dtype.names:  # the stored numbers, not scaled coordinates: an exact copy
@@ -74,6 +78,17 @@ def write_labelled(
             if extended:
                 writer.write_evlrs(laspy.vlrs.vlrlist.VLRList(extended))
     return done
+
+
+@contextmanager
+def _disk_errors(out: Path) -> Iterator[None]:
+    """Turns the error of lazrs that it cannot write, which does not say why, into one that names the file."""
+    import lazrs
+
+    try:
+        yield
+    except lazrs.LazrsError as error:
+        raise OSError(f"{out}: cannot be written ({error}); is the disk full?") from error
 
 
 def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
@@ -237,12 +252,13 @@ def _write_glb(out: Path, mesh: CloudFile, of_face: Tensor | None, result: Resul
         raise ValueError("expected a mesh with faces, for a .glb, got vertices only")
     with needed_for(".glb files", "trimesh", "torchjoint[mesh]"):
         import trimesh
-    scene = trimesh.Scene()
+    scene, place = trimesh.Scene(), np.eye(4)
+    # A .glb has float32 for vertices, which is too coarse for places in surveys, but not for those of nodes.
+    place[:3, 3] = origin = mesh.points.double().mean(0).numpy().round(-3)
     for segment in of_face.unique().tolist():
         corners, faces = mesh.faces[of_face == segment].unique(return_inverse=True)
         color = (label_colors(torch.tensor([segment])) * 255).round().to(torch.uint8).expand(len(corners), 3)
-        part = trimesh.Trimesh(
-            mesh.points[corners].numpy(), faces.numpy(), vertex_colors=color.numpy(), process=False, validate=False
-        )
-        scene.add_geometry(part, node_name=_stem(segment, result), geom_name=_stem(segment, result))
+        vertices = mesh.points[corners].numpy() - origin
+        part = trimesh.Trimesh(vertices, faces.numpy(), vertex_colors=color.numpy(), process=False, validate=False)
+        scene.add_geometry(part, _stem(segment, result), _stem(segment, result), transform=place)
     write_bytes(out, scene.export(file_type="glb"))

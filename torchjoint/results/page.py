@@ -70,7 +70,7 @@ def write_page(path: Path, result: Result, up: Tensor | None = None, edits: Edit
     )
     strip = "".join(_picture(parts, i) for i in evenly_spaced_indices(len(result.images), MOST_IMAGES))
     modes = "".join(f"<option>{name}</option>" for name in ("segments", *own))
-    name, count = escape(f"{scene.name}: " if scene.name else ""), f"{levels[first]['count']} segments"
+    name, count = escape(printable(f"{scene.name}: " if scene.name else "")), f"{levels[first]['count']} segments"
     text = json.dumps(data).replace("<", "\\u003c")  # no name ends the script
     write_text(
         path,

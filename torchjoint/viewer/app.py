@@ -15,6 +15,7 @@ from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
 from torchjoint.results.shared_edits import save_edits
 from torchjoint.results.upright import up_direction
+from torchjoint.runtime.messages import printable
 from torchjoint.scene.checks import as_direction
 from torchjoint.viewer.cloud import CloudView, pick_point
 from torchjoint.viewer.html import PREFIX, found_html, image_html, note_html, panel_html, table_html
@@ -207,7 +208,7 @@ class Viewer:
 
     def _say(self, text: str, color: str = "green") -> None:
         for client in self.server.get_clients().values():
-            client.add_notification("torchjoint", text, color=color, auto_close_seconds=6.0)
+            client.add_notification("torchjoint", printable(text), color=color, auto_close_seconds=6.0)
 
     def _on_event(self) -> None:
         kind, *values = self._panel.bridge.value.removeprefix(PREFIX).split()[:-1] or [""]  # the last word is the time

@@ -36,7 +36,6 @@ def pick_point(points: Floats, origin: Floats, direction: Floats, radius: float)
     return int(first[np.argmin(across[first])])
 
 
-Array = npt.NDArray[np.float32]
 #: Largest numbers of points: in the sample, which is always drawn; in a block; drawn at the same time.
 SAMPLE, BLOCK, BUDGET = 400_000, 60_000, 1_600_000
 
@@ -44,7 +43,12 @@ SAMPLE, BLOCK, BUDGET = 400_000, 60_000, 1_600_000
 MARK = 4.0
 
 
-def point_spacing(points: Array) -> float:
+def middle_of(points: Floats) -> Floats:
+    """The middle of points, in whole kilometres: the page has float32, which is too coarse for places in surveys."""
+    return points.astype(np.float64).reshape(-1, 3).mean(0).round(-3)
+
+
+def point_spacing(points: Floats) -> float:
     """The third quartile of the points' distances to their nearest neighbours, metres."""
     if len(points) < 2:
         return 0.01
@@ -52,7 +56,7 @@ def point_spacing(points: Array) -> float:
     return max(float(np.quantile(distances, 0.75)), 1e-6)
 
 
-def blocks_of(points: Array, most: int = BLOCK) -> list[npt.NDArray[np.int64]]:
+def blocks_of(points: Floats, most: int = BLOCK) -> list[npt.NDArray[np.int64]]:
     """Cuts a cloud at medians until each block has at most `most` points; returns the indices of each block."""
     todo, blocks = [np.arange(len(points))], []
     while todo:
@@ -76,8 +80,9 @@ class CloudView:
         colors: [N, 3].
     """
 
-    def __init__(self, server: Any, points: Array, colors: Bytes) -> None:
+    def __init__(self, server: Any, points: Floats, colors: Bytes) -> None:
         self._server, self._points, self._colors = server, points, colors
+        self._origin = middle_of(points)
         self.size = 1.2 * point_spacing(points)
         everything = np.random.default_rng(0).permutation(len(points))
         self._parts = [everything[:SAMPLE]]
@@ -138,8 +143,9 @@ class CloudView:
             if handle is None:
                 self._handles[index] = self._server.scene.add_point_cloud(
                     f"/cloud/{index}",
-                    self._points[part],
+                    self._points[part] - self._origin,
                     self._colors[part],
+                    position=self._origin,
                     point_size=self._handles[0].point_size if index else self.size,
                     point_shape="circle",
                     point_shading="flat",

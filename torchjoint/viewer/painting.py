@@ -14,6 +14,7 @@ from torchjoint.results.relations import Kind, Relation, relations
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.scene import Scene, Segmentation
+from torchjoint.viewer.cloud import Floats, middle_of
 from torchjoint.viewer.model import Bytes, Model
 
 #: Share of its own colour that an unselected segment keeps; the rest is the light grey of the background.
@@ -128,17 +129,18 @@ class RelationLines:
             self._labels, self._found = labels, found.relations
         ends, colors = lines(self._found, model.result.scene.points.numpy(), labels, model.selected)
         if len(ends):
+            origin = middle_of(ends)
             self._handle = self._server.scene.add_line_segments(
-                "/relations", ends, colors, thickness=THICKNESS, thickness_units="screen"
+                "/relations", ends - origin, colors, position=origin, thickness=THICKNESS, thickness_units="screen"
             )
 
 
 def lines(
     found: tuple[Relation, ...],
-    points: npt.NDArray[np.float32],
+    points: Floats,
     labels: npt.NDArray[np.int64],
     selected: tuple[int, ...],
-) -> tuple[npt.NDArray[np.float32], Bytes]:
+) -> tuple[Floats, Bytes]:
     """The ends [L, 2, 3] of the lines, and their colours [L, 2, 3]; the middle of a segment is the mean of its points.
 
     Args:
@@ -149,6 +151,6 @@ def lines(
     """
     shown = [one for one in found if ({one.first, one.second} & {*selected} if selected else one.kind != "touches")]
     middle = {segment: points[labels == segment].mean(0) for one in shown for segment in (one.first, one.second)}
-    ends = np.array([[middle[one.first], middle[one.second]] for one in shown], dtype=np.float32).reshape(-1, 2, 3)
+    ends = np.array([[middle[one.first], middle[one.second]] for one in shown], dtype=np.float64).reshape(-1, 2, 3)
     colors = np.array([[COLORS[one.kind]] * 2 for one in shown], dtype=np.uint8).reshape(-1, 2, 3)
     return ends, colors

@@ -8,7 +8,7 @@ import pytest
 from lz4 import frame as lz4
 from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from torchjoint.datasets.files import ros_bag
 from torchjoint.datasets.files.ros_bag import Bag, unpack
@@ -82,6 +82,40 @@ def test_a_database_of_any_name(name, tmp_path):
     description.write_text(description.read_text().replace("walk.db3", f"'{name}.db3'"))
     (tmp_path / "walk").rename(tmp_path / name)
     assert Bag(tmp_path / name).first("/text").data == TEXT
+
+
+def of_type(path, text):
+    """A recording with a message of a type that it defines."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text if "module" not in text else "uint8 data\n", TYPE))
+    with rosbag2.Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/text", TYPE, msgdef=text, rihs01=store.hash_rihs01(TYPE))
+        writer.write(topic, 0, b"\0\1\0\0" + bytes(64))
+
+
+def of_number(number):
+    module = f"module std_msgs {{ module msg {{ const uint32 N = {number}; struct String {{ uint8 data; }}; }}; }};\n"
+    return f"{'=' * 80}\nIDL: {TYPE}\n{module}"
+
+
+PART = f"{'=' * 80}\nMSG: std_msgs/Part\nuint8"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("string[5000] data\n", "expected at most 4096 texts and messages in all arrays"),
+        (f"Part[5000] data\n{PART} data\n", "expected at most 4096 texts and messages in all arrays"),
+        (f"Part[9] data\n{PART}[0] data\n", "expected arrays of at least one element"),
+        (of_number("1 << 99"), "expected at most 64 bits to shift by, got 99"),
+        (of_number("4294967296 * 4294967297"), f"expected at most {1 << 64} as a number"),
+    ],
+)
+def test_types_that_fill_the_memory(text, message, tmp_path):
+    """A recording defines its types; rosbags makes a program of them."""
+    of_type(tmp_path / "walk", text)
+    with pytest.raises(ValueError, match=f"walk: not a whole ROS recording: .*{message}"):
+        Bag(tmp_path / "walk").first("/text")
 
 
 def test_a_library_without_a_place_for_the_bounds_is_refused(tmp_path, monkeypatch):

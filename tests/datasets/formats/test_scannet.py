@@ -172,6 +172,17 @@ def test_instances_of_pixels_zipped_and_of_another_size(folder, synthetic):
         tj.load_scene(folder)
 
 
+def test_of_two_scans_in_a_folder_each_has_its_cloud(folder, synthetic, tmp_path, monkeypatch):
+    """The second one got the fused cloud of the first one, from the cache."""
+    monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
+    shots, intrinsics = list(shots_of(synthetic.scene)), synthetic.scene.frames[0].intrinsics
+    for name, some in (("one", shots[:2]), ("two", shots[2:])):
+        write_sens(folder / f"{name}.sens", some, intrinsics, intrinsics)
+    one, two, again = (tj.load_scene(folder / f"{name}.sens", voxel_size=0.05).points for name in ("one", "two", "one"))
+    assert torch.equal(one, again)
+    assert one.shape != two.shape
+
+
 @pytest.mark.slow
 def test_a_damaged_archive(folder, synthetic):
     intrinsics = synthetic.scene.frames[0].intrinsics

@@ -118,9 +118,9 @@ def read_array(path: Path) -> Tensor:
 def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
-    That of a folder covers all files in and below it, without folders of results; links are followed. That of a file
-    covers its folder, and files with the same stem in sibling folders (KITTI's layout). That of a file with a suffix
-    in `ALONE` covers only itself.
+    That of a folder covers all files in and below it, without folders of results, and what formats read around it;
+    links are followed. That of a file covers its folder, and files with the same stem in sibling folders (KITTI's
+    layout). That of a file with a suffix in `ALONE` covers only itself.
 
     Args:
         path: of a recording.
@@ -135,9 +135,23 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     folder = path if has_folder(path) else path.parent
     left_out = {os.path.abspath(one) for one in without}
     beside = () if has_folder(path) else folder.parent.glob(f"*/{path.stem}.*")
-    files = sorted({*_files_below(folder, left_out), *beside})
+    files = sorted({*_files_below(folder, left_out), *_around(folder, left_out), *beside})
     stats = [(str(file), *_size_and_time(file)) for file in files]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
+
+
+def _around(folder: Path, without: Set[str]) -> Iterator[Path]:
+    """What formats read around a folder: Replica's camera and mesh, the scans of ScanNet, the images of a model."""
+    name, beside = folder.name, folder.parent
+    scene = beside.parent if beside.name == "sparse" else beside
+    files = [beside / "cam_params.json", beside / f"{name}_mesh.ply"]
+    folders = [beside / "scans" if name in ("dslr", "iphone") else beside.parent / "scans" / name]
+    if any(folder.glob("cameras.*")) or any(folder.glob("transforms*.json")):  # of COLMAP, of nerfstudio
+        files.append(scene / "fused.ply")
+        folders += [scene / one for one in ("images", "images_2", "images_4", "images_8", "dense")]
+    yield from filter(os.path.lexists, files)
+    for other in filter(os.path.isdir, folders):
+        yield from _files_below(other, without)
 
 
 def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:

@@ -12,7 +12,7 @@ import sqlite3
 import struct
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from threading import Lock
@@ -116,10 +116,49 @@ def _open(path: Path) -> Any:
         from rosbags.typesys import Stores, get_typestore
     bound_unpacking(_check_files(path))
     check_databases()
+    bound_definitions()
     # Recordings of ROS 2 before Iron do not contain the definitions of their messages.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
     reader.open()
+    try:
+        _check_arrays(reader.typestore.fielddefs)
+    except ValueError:
+        reader.close()
+        raise
     return reader
+
+
+def _check_arrays(types: Mapping[str, Any]) -> None:
+    """Checks the arrays in a recording's own types of messages, before rosbags makes a program of them.
+
+    That has lines for each element, unless these are numbers. An element without bytes may be there any number of
+    times.
+    """
+    arrays = [field[1] for _, fields in types.values() for _, field in fields if field[0].name == "ARRAY"]
+    lines = sum(length for element, length in arrays if element[0].name == "NAME" or element[1][0] == "string")
+    bounds.check(lines, bounds.PROPERTIES, "texts and messages in all arrays of fixed lengths")
+    if any(length < 1 for _, length in arrays):
+        raise ValueError("expected arrays of at least one element")
+
+
+def bound_definitions() -> None:
+    """Makes rosbags compute no number beyond 64 bits in a definition: `1 << 99999999999` fills the memory."""
+    from rosbags.typesys import idl
+
+    evaluate = idl.eval_expression
+    if evaluate.__module__ == __name__:
+        return
+
+    def evaluated(expression: Any, *rest: Any) -> Any:
+        if getattr(expression, "op", None) == "<<" and hasattr(expression, "right"):
+            expression = expression._replace(right=evaluated(expression.right, *rest))
+            bounds.check(expression.right.value, 64, "bits to shift by")
+        value = evaluate(expression, *rest)
+        if isinstance(value.value, int):
+            bounds.check(abs(value.value), 1 << 64, "as a number")
+        return value
+
+    idl.eval_expression = evaluated
 
 
 def check_databases() -> None:
