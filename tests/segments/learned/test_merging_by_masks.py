@@ -107,7 +107,7 @@ def test_only_crumbs_in_masks_join_their_neighbour() -> None:
     in_frame = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 0], [500, 10, 10, 10]])
     masks = MaskCounts(in_mask, in_frame, torch.tensor([256, 256]), torch.tensor([0, 0]))
     ends = torch.tensor([[0, 0, 0], [1, 2, 3]])
-    joined, _ = MaskLinkage(masks, size).crumbs(torch.arange(4), ends, torch.ones(3))
+    joined, _ = MaskLinkage(masks, size).crumbs(torch.arange(4), ends, torch.ones(3), torch.ones(3).long())
     assert joined.tolist() == [[0], [1]]
 
 
