@@ -155,7 +155,7 @@ def region_dendrogram(
     check_number("num_regions", num_regions, (int,))
     check_number("threshold", threshold, (int, float))
     if count is None:
-        count = torch.ones_like(edge_index[0])
+        count = edge_index.new_ones(()).expand(edge_index.shape[1])  # takes no memory
     check_array("count", count, torch.int64, (edge_index.shape[1],), f"[E] = [{edge_index.shape[1]}]")
     kernel = torch.ops.torchjoint.region_dendrogram.default
     return cast(tuple[Tensor, Tensor], call(kernel, edge_index, cost, num_regions, float(threshold), count))
