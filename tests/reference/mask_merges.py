@@ -83,7 +83,6 @@ def mask_merges_reference(
         (tensor([[0],
                 [1]]), tensor([0.8000], dtype=torch.float64))
     """
-    edge_index, cost = edge_index.repeat_interleave(count, 1), cost.repeat_interleave(count)
     points_in: dict[tuple[int, int], int] = {}
     seen_in: dict[tuple[int, int], int] = {}
     for table, rows in ((points_in, in_mask), (seen_in, in_frame)):
@@ -91,10 +90,12 @@ def mask_merges_reference(
             table[region, key] = table.get((region, key), 0) + points
     weights, frames = weight.tolist(), frame_of_mask.tolist()
     group = [[region] for region in range(len(size))]
-    costs: dict[tuple[int, int], list[float]] = {}  # of each boundary, by the lowest regions of its two groups
-    for (a, b), value in zip(edge_index.t().tolist(), cost.double().tolist(), strict=True):
+    # Sum of the costs and number of edges of each boundary, by the lowest regions of its two groups.
+    costs: dict[tuple[int, int], tuple[int, int]] = {}
+    for (a, b), value, times in zip(edge_index.t().tolist(), cost.double().tolist(), count.tolist(), strict=True):
         if a != b:
-            costs.setdefault((min(a, b), max(a, b)), []).append(round(value * 2**20))
+            of_both, edges = costs.get((min(a, b), max(a, b)), (0, 0))
+            costs[min(a, b), max(a, b)] = of_both + round(value * 2**20) * times, edges + times
     number = {pair: i for i, pair in enumerate(costs)}  # of each boundary
 
     def total(table: dict[tuple[int, int], int], region: int, key: int) -> int:
@@ -108,7 +109,7 @@ def mask_merges_reference(
             agree += 2 * s * one * other
             differ += s * (one * other_outside + other * outside)
         pairs = 512.0 * sum(int(size[i]) for i in group[a]) * sum(int(size[i]) for i in group[b])
-        prior = sum(costs[a, b]) / len(costs[a, b]) / 2**20
+        prior = float(costs[a, b][0]) / float(costs[a, b][1]) / 2**20
         apart = apart_weight * (differ / pairs)
         return (apart + prior_weight * prior) / (agree / pairs + apart + prior_weight)
 
@@ -131,7 +132,8 @@ def mask_merges_reference(
             other = old[0] + old[1] - given
             now = (min(kept, other), max(kept, other))
             number[now] = min(number[old], number[now]) if now in costs else number[old]
-            costs[now] = costs.get(now, []) + costs.pop(old)
+            (of_both, edges), (more, other_edges) = costs.get(now, (0, 0)), costs.pop(old)
+            costs[now] = of_both + more, edges + other_edges
     return torch.tensor(merges, dtype=torch.int64).view(-1, 2).t(), torch.tensor(values, dtype=torch.float64)
 
 

@@ -49,17 +49,20 @@ def region_dendrogram_reference(
         (tensor([[0, 0],
                 [1, 2]]), tensor([0.0000, 0.5000], dtype=torch.float64))
     """
-    if count is not None:
-        edge_index, cost = edge_index.repeat_interleave(count, 1), cost.repeat_interleave(count)
-    costs: dict[tuple[int, int], list[float]] = {}  # of each boundary, by the lowest regions of its two groups
-    for (a, b), value in zip(edge_index.t().tolist(), cost.double().tolist(), strict=True):
+    # Sum of the costs and number of edges of each boundary, by the lowest regions of its two groups.
+    costs: dict[tuple[int, int], tuple[float, int]] = {}
+    counts = [1] * len(cost) if count is None else count.tolist()
+    for (a, b), value, times in zip(edge_index.t().tolist(), cost.double().tolist(), counts, strict=True):
         if a != b:
-            costs.setdefault((min(a, b), max(a, b)), []).append(round(value * 2**20) / 2**20)
+            total, edges = costs.get((min(a, b), max(a, b)), (0.0, 0))
+            costs[min(a, b), max(a, b)] = total + round(value * 2**20) * float(times), edges + times
     number = {pair: i for i, pair in enumerate(costs)}  # of each boundary
     merges: list[tuple[int, int]] = []
     means: list[float] = []
     while costs:
-        mean, _, (kept, given) = min((sum(values) / len(values), number[pair], pair) for pair, values in costs.items())
+        mean, _, (kept, given) = min(
+            (total / edges / 2**20, number[pair], pair) for pair, (total, edges) in costs.items()
+        )
         if mean > threshold:
             break
         merges.append((kept, given))
@@ -69,7 +72,8 @@ def region_dendrogram_reference(
             other = old[0] + old[1] - given
             now = (min(kept, other), max(kept, other))
             number[now] = min(number[old], number[now]) if now in costs else number[old]
-            costs[now] = costs.get(now, []) + costs.pop(old)
+            (total, edges), (more, other_edges) = costs.get(now, (0.0, 0)), costs.pop(old)
+            costs[now] = total + more, edges + other_edges
     return torch.tensor(merges, dtype=torch.int64).view(-1, 2).t(), torch.tensor(means, dtype=torch.float64)
 
 
