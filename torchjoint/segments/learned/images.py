@@ -58,9 +58,11 @@ class ImageCounts(NamedTuple):
     frame_of_segment: Tensor  #: [L] int64, ascending
 
     def grouped(self, of_piece: Tensor) -> ImageCounts:
-        """The counts of groups of pieces; `of_piece` [P] int64 is the group of each piece."""
+        """The counts of groups of pieces; `of_piece` [P] int64 is the group of each piece. Rows may repeat a pair."""
         num_groups = int(of_piece.max()) + 1
         of_row = of_piece.index_select(0, self.piece)
+        if 2 * num_groups > len(of_piece):  # few rows would become one, and the operator adds them, too
+            return self._replace(piece=of_row.int())
         key, row = torch.unique(self.segment.long() * num_groups + of_row, return_inverse=True)
         num_points = sum_by(row, self.num_points, len(key))
         return self._replace(piece=(key % num_groups).int(), segment=(key // num_groups).int(), num_points=num_points)
