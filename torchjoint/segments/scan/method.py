@@ -36,7 +36,7 @@ RINGS_IN_GAP = 4
 def segment_scan(
     points: Tensor, config: ScanConfig | None = None, rings: Rings | Literal["search"] | None = "search"
 ) -> Tensor:
-    """Segments one scan of a LiDAR, without training, colours or normals.
+    """Segments one scan of a LiDAR, without colours or normals.
 
     They are the default level of :func:`segment_levels`.
 
