@@ -29,7 +29,7 @@ MEASURES = {
 #: is not oriented; whether an image sees both ends; how many do.
 AVERAGED = ("hollow", "unoriented", "seen", "views")
 #: Number of bins of a measure. The bins of the crease begin at -1 and all others at 0, see :func:`_bins`.
-BINS = 16
+BINS = 32
 _LOWEST = torch.tensor([-1.0] + [0.0] * (len(MEASURES) - 1))
 _SCALES = torch.tensor(list(MEASURES.values()))
 

@@ -74,7 +74,7 @@ MOST_OF_A_KIND = 5
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
 #: If more boundaries than this are left after the first step, the trees are made draw by draw: less memory, more time.
-MANY_BOUNDARIES = 1 << 17
+MANY_BOUNDARIES = 1 << 16
 #: The operator wants a prior; this much of it changes nothing.
 NO_PRIOR = 1e-9
 
