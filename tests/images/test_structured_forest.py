@@ -77,7 +77,7 @@ class TestStructuredForestBoundary:
 
     def test_relative_gradient_by_hand(self):
         """On a ramp the gradient is the same everywhere, and so its mean; at a step it stands out."""
-        ramp = np.repeat(np.arange(60, dtype=np.float32)[None, :, None] * 0.01, 40, axis=0).repeat(3, axis=2)
+        ramp = np.repeat(np.arange(60, dtype=np.float32)[None, None] * 0.01, 40, axis=1).repeat(3, axis=0)
         gradient = 0.01 * 3**0.5
         assert structured_forest.relative_gradient(ramp)[20, 30] == pytest.approx(
             gradient / (gradient + 0.01), rel=1e-4

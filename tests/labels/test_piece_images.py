@@ -12,7 +12,8 @@ LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=g
 
 
 def pieces_of(seen, labels, piece, of_piece):
-    image = piece_image(seen, torch.tensor([labels]), torch.tensor(piece), torch.tensor(of_piece), tj.Config())
+    numbers = PieceNumbers.of(torch.tensor(piece), torch.tensor(of_piece))
+    image = piece_image(seen, torch.tensor([labels]), numbers, tj.Config())
     return image[0].tolist()
 
 
@@ -58,14 +59,14 @@ def test_pieces_are_propagated_with_their_labels(scene_of, monkeypatch, least):
     hierarchy = segmenter.method.segment(segmenter.graph, segmenter.state, segmenter.config)
     of_piece = hierarchy.segments_of_pieces(hierarchy.default)
     of_point, count = of_piece[hierarchy.piece], int(of_piece.max()) + 1
-    numbers = PieceNumbers.of(hierarchy)
+    numbers = PieceNumbers.of(hierarchy.piece, of_piece)
     for seen in segmenter.state.observations[:]:
         there = of_point[seen.visible.point]
         expected, next_free = propagate(seen, there, count, LEARNED)
-        labels, free, pieces = propagate_pieces(seen, there, count, numbers, LEARNED)
+        labels, free, pieces = propagate_pieces(seen, count, numbers, LEARNED)
         assert torch.equal(labels, expected)
         assert free == next_free
-        alone = piece_image(seen, expected.long(), hierarchy.piece, of_piece, LEARNED)
+        alone = piece_image(seen, expected.long(), numbers, LEARNED)
         assert float((pieces != alone).float().mean()) < 0.01
         assert least > 1 or torch.equal(pieces, alone)
 

@@ -223,21 +223,27 @@ class StructuredForestBoundary(nn.Module):
         largest = int(_MAX_SIZE / max(*self.scales, 1))
         if max(images.shape[2:]) > largest:
             raise ValueError(f"images: expected at most {largest} pixels a side, got {list(images.shape)}")
-        pixels = [image.permute(1, 2, 0).contiguous().numpy() for image in images.detach().float()]
+        pixels = list(images.detach().float().numpy())
         votes = [self._votes(pixels, scale) for scale in self.scales]
         return torch.stack(parallel_map(lambda parts: self._strength(*parts), zip(pixels, *votes, strict=True)))
 
     def _strength(self, image: NDArray[np.float32], *votes: NDArray[np.float32]) -> Tensor:
-        """Boundary strength [H, W] of an image [H, W, 3], from the votes [H, W] at each scale."""
+        """Boundary strength [H, W] of an image [3, H, W], from the votes [H, W] at each scale."""
         weight = 1 - SHARPNESS + SHARPNESS * relative_gradient(image)
         strength = 1 - torch.exp(torch.from_numpy(sum(votes) * weight) * (-GAIN / len(votes)))
         return suppress_non_maxima(strength) if self.nms else strength
 
     def _votes(self, images: Sequence[NDArray[np.float32]], scale: float) -> list[NDArray[np.float32]]:
-        """The forest's votes [H, W] for each of the images [H, W, 3] of one size, detected at another size."""
-        height, width = images[0].shape[:2]
+        """The forest's votes [H, W] for each of the images [3, H, W] of one size, detected at another size."""
+        height, width = images[0].shape[1:]
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
-        planes = torch.stack(parallel_map(lambda image: _padded_planes(_resized(image, size, scale < 1)), images))
+        planes = torch.empty(len(images), 3, *(2 * MARGIN + side + -side % 4 for side in reversed(size)))
+
+        def pad(index: int) -> None:
+            for plane, out in zip(images[index], planes[index].numpy(), strict=True):
+                padded(_resized(plane, size, scale < 1), out)
+
+        parallel_map(pad, range(len(images)))
         with all_threads():
             votes = structured_forest(planes, *_trees(self.model, self._file_version), self.stride)
         inside = votes[:, MARGIN : MARGIN + size[1], MARGIN : MARGIN + size[0]]
@@ -245,7 +251,7 @@ class StructuredForestBoundary(nn.Module):
 
 
 def _resized(image: NDArray[np.float32], size: tuple[int, int], shrinks: bool = False) -> NDArray[np.float32]:
-    """The image [H, W, ...] at another size (width, height); `shrinks`: each pixel is the mean of those it covers."""
+    """The image [H, W] at another size (width, height); `shrinks`: each pixel is the mean of those it covers."""
     import cv2
 
     if (image.shape[1], image.shape[0]) == size:
@@ -255,25 +261,18 @@ def _resized(image: NDArray[np.float32], size: tuple[int, int], shrinks: bool = 
     )
 
 
-def _padded_planes(image: NDArray[np.float32]) -> Tensor:
-    """The image [H, W, 3] with its margins, [3, H', W']."""
-    return torch.from_numpy(np.stack([padded(image[..., channel]) for channel in range(3)]))
-
-
 def relative_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The colour gradient of an image [H, W, 3] relative to the mean gradient around each pixel; [H, W] float32.
+    """The colour gradient of an image [C, H, W] relative to the mean gradient around each pixel; [H, W] float32.
 
     A forest locates a boundary only to within some pixels. The gradient is highest at the boundary itself.
     """
     import cv2
 
-    smooth = cv2.GaussianBlur(image, (0, 0), _GRADIENT_SMOOTHING)
-    right, down = (np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *way, ksize=1), np.float32) for way in ((1, 0), (0, 1)))
-    # In place, and with OpenCV's sum over channels: new memory and NumPy's sum take twice as long as the rest.
-    right *= right
-    down *= down
-    right += down
-    gradient = np.asarray(cv2.transform(right, np.ones((1, 3), np.float32)), np.float32)
+    gradient = np.zeros(image.shape[1:], np.float32)
+    for plane in image:
+        smooth = cv2.GaussianBlur(plane, (0, 0), _GRADIENT_SMOOTHING)
+        for way in ((1, 0), (0, 1)):
+            cv2.accumulateSquare(cv2.Sobel(smooth, cv2.CV_32F, *way, ksize=1), gradient)
     np.sqrt(gradient, out=gradient)
     gradient /= 2
     around = np.asarray(cv2.blur(gradient, (_AROUND, _AROUND)), np.float32)
@@ -282,12 +281,13 @@ def relative_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return gradient
 
 
-def padded(image: NDArray[Any]) -> NDArray[Any]:
+def padded(image: NDArray[Any], out: NDArray[Any] | None = None) -> NDArray[Any]:
     """The image [H, W, ...] with mirrored margins; its sides are multiples of 4, as in OpenCV."""
     import cv2
 
     height, width = image.shape[:2]
-    return cv2.copyMakeBorder(image, MARGIN, MARGIN + -height % 4, MARGIN, MARGIN + -width % 4, cv2.BORDER_REFLECT)
+    margins = (MARGIN, MARGIN + -height % 4, MARGIN, MARGIN + -width % 4)
+    return cv2.copyMakeBorder(image, *margins, cv2.BORDER_REFLECT, dst=out)
 
 
 def _version(model: str | None) -> tuple[int, int] | None:

@@ -13,7 +13,6 @@ from torchjoint.config import Config
 from torchjoint.images.contours import smooth
 from torchjoint.labels.joint_ids import by_first_appearance, look_up
 from torchjoint.ops.internal import outvoted_markers
-from torchjoint.scene import Hierarchy
 from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible, nearest_in_cells
 
@@ -98,13 +97,12 @@ class PieceNumbers(NamedTuple):
     piece: Tensor  #: [P] int64, piece of each number
 
     @classmethod
-    def of(cls, hierarchy: Hierarchy) -> PieceNumbers:
-        """The numbers of the pieces, with the segments of the default level."""
-        segment = hierarchy.segments_of_pieces(hierarchy.default)
-        piece = torch.argsort(segment, stable=True)
-        number = torch.empty_like(piece)
-        number[piece] = torch.arange(len(piece))
-        return cls(number[hierarchy.piece], segment[piece].to(torch.int32), piece)
+    def of(cls, piece: Tensor, segment: Tensor) -> PieceNumbers:
+        """The numbers of P pieces; `piece`: [N] int64, that of each point; `segment`: [P] int64, that of each piece."""
+        by_segment = torch.argsort(segment, stable=True)
+        number = torch.empty_like(by_segment)
+        number[by_segment] = torch.arange(len(by_segment))
+        return cls(number[piece], segment[by_segment].to(torch.int32), by_segment)
 
 
 def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config: Config) -> tuple[Tensor, int]:
@@ -123,14 +121,14 @@ def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config
     Returns:
         ([H, W] int32, the next free id); pixels that are -1 in the initial labels stay -1.
     """
-    colors, boundary, color_weight, boundary_weight = path_costs(seen, config)
-    markers = _markers(seen, point_labels, colors, color_weight)
-    labels = ops.propagate_labels(markers, colors, boundary, color_weight, boundary_weight, MIN_POINTS)
+    costs = colors, _, color_weight, _ = path_costs(seen, config)
+    markers = without_outvoted(nearest_labels(seen.visible, point_labels, seen.size), colors, color_weight)
+    labels = ops.propagate_labels(markers, *costs, MIN_POINTS)
     return _keep_unseen(labels, markers >= 0, seen.labels, num_segments)
 
 
 def propagate_pieces(
-    seen: Observation, point_labels: Tensor, num_segments: int, pieces: PieceNumbers, config: Config
+    seen: Observation, num_segments: int, pieces: PieceNumbers, config: Config
 ) -> tuple[Tensor, int, Tensor]:
     """As :func:`propagate`, of the pieces of a hierarchy: the same labels, and the piece in each pixel.
 
@@ -138,24 +136,23 @@ def propagate_pieces(
         ([H, W] int32 labels, the next free id, [H, W] int64 pieces). A pixel's piece is a piece of its segment; -1 in
         pixels without a 3D segment.
     """
-    colors, boundary, color_weight, boundary_weight = path_costs(seen, config)
-    has_marker = _markers(seen, point_labels, colors, color_weight) >= 0
-    markers = nearest_labels(
-        seen.visible, pieces.of_point[seen.visible.point], (has_marker.shape[0], has_marker.shape[1])
-    )
-    markers = markers.masked_fill_(~has_marker, -1)
-    costs = colors, boundary, color_weight, boundary_weight
-    found = ops.propagate_labels(markers, *costs, MIN_POINTS, pieces.segment).to(torch.int64)
-    labels = torch.where(found < 0, -1, pieces.segment[found.clamp(min=0)])
-    labels, next_free = _keep_unseen(labels, has_marker, seen.labels, num_segments)
+    costs = path_costs(seen, config)
+    markers = piece_markers(seen, pieces, costs)
+    found = ops.propagate_labels(markers, *costs, MIN_POINTS, pieces.segment)
+    labels, next_free = _keep_unseen(look_up(pieces.segment, found, -1), markers >= 0, seen.labels, num_segments)
     has_segment = (labels >= 0) & (labels < num_segments)
-    return labels, next_free, torch.where(has_segment, pieces.piece[found.clamp(min=0)], -1)
+    return labels, next_free, torch.where(has_segment, look_up(pieces.piece, found, -1), -1)
 
 
-def _markers(seen: Observation, point_labels: Tensor, colors: Tensor, color_weight: float) -> Tensor:
-    """The labels [H, W] int32 of the pixels with points, -1 where there is none or the labels around it contradict."""
-    height, width = seen.labels.shape
-    return without_outvoted(nearest_labels(seen.visible, point_labels, (height, width)), colors, color_weight)
+def piece_markers(seen: Observation, pieces: PieceNumbers, costs: tuple[Tensor, Tensor, float, float]) -> Tensor:
+    """The number [H, W] int32 of the piece in each pixel with points; -1 where the segments around it outvote its own.
+
+    `costs`: of :func:`path_costs`.
+    """
+    colors, _, color_weight, _ = costs
+    markers = nearest_labels(seen.visible, pieces.of_point[seen.visible.point], seen.size)
+    segments = without_outvoted(look_up(pieces.segment, markers, -1), colors, color_weight)
+    return markers.masked_fill_(segments < 0, -1)
 
 
 def path_costs(seen: Observation, config: Config) -> tuple[Tensor, Tensor, float, float]:

@@ -40,7 +40,9 @@ def label_images(
     Returns:
         the labels; and, with a hierarchy, the piece in each pixel, packed, by index, of the frames without masks.
     """
-    numbers = None if hierarchy is None else PieceNumbers.of(hierarchy)
+    numbers = None
+    if hierarchy is not None:
+        numbers = PieceNumbers.of(hierarchy.piece, hierarchy.segments_of_pieces(hierarchy.default))
     known: dict[int, Packed] = {}
     sizes = torch.bincount(point_labels)
     bar = tqdm(total=len(seen), desc="images", unit="frame", disable=not (progress and len(seen)))
@@ -51,8 +53,7 @@ def label_images(
             if numbers is None or observation.masks is not None:
                 refined, next_free = label_image(observation, point_labels, sizes, config)
             else:
-                there = point_labels[observation.visible.point]
-                refined, next_free, pieces = propagate_pieces(observation, there, len(sizes), numbers, config)
+                refined, next_free, pieces = propagate_pieces(observation, len(sizes), numbers, config)
                 known[index] = pack(pieces)
         bar.update()
         return pack(refined), next_free

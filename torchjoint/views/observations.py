@@ -38,6 +38,11 @@ class Observation:
     #: [2, V] int64, points at the two ends of lines across an occluder; only method learned, frames without masks
     lines: Tensor = field(default_factory=lambda: torch.empty(2, 0, dtype=torch.int64))
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W) pixels."""
+        return self.labels.shape[0], self.labels.shape[1]
+
     def labelled_points(self) -> tuple[Tensor, Tensor]:
         """The visible points in pixels with a label, and these labels, both [L] int64."""
         label = self.labels[self.visible.row, self.visible.column].long()
