@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pickle
+import tempfile
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextvars import ContextVar
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, TypeVar
 
-import joblib
+import cloudpickle
 import torch
+
+T = TypeVar("T")
 
 #: Seconds between a worker's checks that the process that started it still runs.
 INTERVAL = 0.5
@@ -25,54 +28,13 @@ class Answer(NamedTuple):
     error: Exception | None = None
 
 
-class Shared(ABC):
-    """A reference to a value that all tasks use; each worker loads it once."""
-
-    key: str
-
-    @abstractmethod
-    def load(self) -> Any:
-        """Loads the value in a worker."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Frees the value; no task will use it any more."""
-
-
-#: The shared value of this worker, by its key. It holds at most one, so that a long-lived worker does not fill memory.
-_loaded: dict[str, Any] = {}
-_lock = threading.Lock()  # a worker of dask may run several tasks at once
-#: The result of :func:`tasks_on_machine` in the task of this thread.
-_on_machine: ContextVar[int] = ContextVar("torchjoint_tasks_on_machine", default=1)
-
-
-def tasks_on_machine() -> int:
-    """How many tasks of the engine this machine may run at a time, so that each takes its share; 1 outside a task."""
-    return _on_machine.get()
-
-
-def answer(
-    function: Callable[[Any, Any], Any], shared: Any, task: Any, threads: int, on_machine: int | None = None
-) -> Answer:
+def call(function: Callable[[Any], Any], item: Any, threads: int) -> Answer:
     """Runs a task on `threads` threads. Returns an error of the task, so that only errors of the engine are raised."""
-    sharing = _on_machine.set(max(1, joblib.cpu_count() // threads) if on_machine is None else on_machine)
     try:
         torch.set_num_threads(threads)
-        return Answer(function(_value(shared), task))
+        return Answer(function(item))
     except (Exception, SystemExit) as error:
         return Answer(error=_portable(error))
-    finally:
-        _on_machine.reset(sharing)
-
-
-def _value(shared: Any) -> Any:
-    if not isinstance(shared, Shared):
-        return shared
-    with _lock:
-        if shared.key not in _loaded:
-            _loaded.clear()
-            _loaded[shared.key] = shared.load()
-        return _loaded[shared.key]
 
 
 def _portable(error: BaseException) -> Exception:
@@ -85,6 +47,53 @@ def _portable(error: BaseException) -> Exception:
         else:
             return error.with_traceback(None)
     return RuntimeError(f"{type(error).__name__}: {error}")
+
+
+#: How the names of shared files begin.
+SHARED = "shared-"
+#: The shared value of this worker, by its file. It holds at most one, so that a long-lived worker does not fill memory.
+_loaded: dict[str, Any] = {}
+_lock = threading.Lock()  # a worker of dask may run several tasks at once
+
+
+class SharedFile(Generic[T]):
+    """A value that all tasks use, pickled to a temporary file once; each worker reads it once.
+
+    Args:
+        value: tasks must not change it.
+        folder: of the file, for workers on other machines one that they see; default: that of temporary files.
+    """
+
+    def __init__(self, value: T, folder: Path | None = None) -> None:
+        self._file = tempfile.NamedTemporaryFile(prefix=SHARED, dir=folder)  # noqa: SIM115
+        cloudpickle.dump(value, self._file)
+        self._file.seek(0)
+        self._path, self._checksum = self._file.name, _checksum(self._file)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_path": self._path, "_checksum": self._checksum}
+
+    def load(self) -> T:
+        """The value, in a worker."""
+        with _lock:
+            if self._path not in _loaded:
+                _loaded.clear()
+                with open(self._path, "rb") as stream:
+                    if _checksum(stream) != self._checksum:  # others may write to the folder
+                        raise ValueError(f"{self._path}: is not what the first process wrote")
+                    stream.seek(0)
+                    _loaded[self._path] = cloudpickle.load(stream)
+            value: T = _loaded[self._path]
+            return value
+
+    def close(self) -> None:
+        """Deletes the file; no task will use it any more."""
+        self._file.close()
+        _loaded.pop(self._path, None)  # tasks may have run in this process
+
+
+def _checksum(stream: Any) -> str:
+    return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def end_with(parent: int) -> None:

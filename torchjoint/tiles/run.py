@@ -11,6 +11,8 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import Executor
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -69,7 +71,7 @@ def superpoints_of_files(
     tile: float | None = None,
     buffer: float | None = None,
     preset: str | SuperpointsConfig = "default",
-    engine: str | Engine = "loky",
+    engine: str | Executor | Engine = "loky",
     overwrite: bool = False,
     progress: bool | None = None,
 ) -> TiledCloud:
@@ -89,8 +91,8 @@ def superpoints_of_files(
         buffer: width of the rim that a tile shares with its neighbours, metres; default: 60 x the typical distance of
             neighbouring points.
         preset: as in :func:`torchjoint.superpoints`.
-        engine: where the tiles are segmented, see :func:`torchjoint.engine.open_engine`. The workers must be able to
-            access the folder of `out`. "loky:1" is this process.
+        engine: where the tiles are segmented: any executor, or a name; see :func:`torchjoint.engine.open_engine`. The
+            workers must be able to access the folder of `out`. "loky:1" is this process.
         overwrite: replace an earlier result.
         progress: show progress bars; None: if there is a terminal.
 
@@ -222,7 +224,9 @@ def _check_disk(work: Path, num_points: int, colored: bool) -> None:
         raise ValueError(f"out: expected about {needed / 1e9:.1f} GB free in {work.parent}, got {free / 1e9:.1f} GB")
 
 
-def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Engine, progress: bool | None) -> None:
+def _segment(
+    cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Executor | Engine, progress: bool | None
+) -> None:
     """Segments the tiles without labels, several at a time; a single tile is segmented in this process."""
     (work / "labels").mkdir(exist_ok=True)
     tasks = [
@@ -238,7 +242,7 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Eng
                 bar.update()
             return
         with open_engine(engine) as opened:
-            for outcome in opened.run(lambda shared, task: segment_tile(*shared, task), tasks, (cut.white, config)):
+            for outcome in opened.run(partial(segment_tile, cut.white, config), tasks):
                 if outcome.error is not None:
                     raise outcome.error
                 bar.update()
