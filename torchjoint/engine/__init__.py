@@ -11,5 +11,6 @@
 
 from torchjoint.engine.engine import Engine, Outcome, WorkerDied
 from torchjoint.engine.opening import open_engine
+from torchjoint.engine.worker import SharedFile
 
-__all__ = ["Engine", "Outcome", "WorkerDied", "open_engine"]
+__all__ = ["Engine", "Outcome", "SharedFile", "WorkerDied", "open_engine"]

@@ -82,8 +82,7 @@ class Engine:
         At a time, only as many tasks are submitted as can run, so that the death of a worker meets no other task.
 
         Args:
-            function: is pickled with each task: a large value that all tasks use belongs in a
-                :class:`~torchjoint.engine.worker.SharedFile`.
+            function: is pickled with each task; a large value that all tasks use belongs in a :class:`SharedFile`.
             tasks: are taken when they are submitted.
             in_order: yield in the order of the tasks, not in the order in which they end. At most twice as many
                 outcomes are in memory as tasks can run.

@@ -15,8 +15,8 @@ from torchjoint.cloud.graph import PointGraph
 from torchjoint.config import Config
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.engine import Engine, open_engine
-from torchjoint.engine.worker import SHARED, SharedFile
+from torchjoint.engine import Engine, SharedFile, open_engine
+from torchjoint.engine.worker import SHARED
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter, observe
 from torchjoint.masks import read_folder
