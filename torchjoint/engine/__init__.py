@@ -10,7 +10,7 @@
 """
 
 from torchjoint.engine.engine import Engine, Outcome, WorkerDied
-from torchjoint.engine.opening import open_engine
+from torchjoint.engine.opening import EngineLike, open_engine
 from torchjoint.engine.worker import SharedFile
 
-__all__ = ["Engine", "Outcome", "SharedFile", "WorkerDied", "open_engine"]
+__all__ = ["Engine", "EngineLike", "Outcome", "SharedFile", "WorkerDied", "open_engine"]

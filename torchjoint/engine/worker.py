@@ -1,4 +1,4 @@
-"""The code that runs in a worker: it calls a task's function, and handles its errors."""
+"""The code that runs in a worker: it calls a task's function, handles its errors, and ends with the first process."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -39,20 +41,15 @@ def call(function: Callable[[Any], Any], item: Any, threads: int) -> Answer:
 
 def _portable(error: BaseException) -> Exception:
     """The error if it can be pickled; else a RuntimeError with its name and message."""
-    if isinstance(error, Exception):
-        try:
-            pickle.loads(pickle.dumps(error))
-        except Exception:  # the error's own code may raise anything
-            pass
-        else:
+    with suppress(Exception):  # the error's own code may raise anything
+        pickle.loads(pickle.dumps(error))
+        if isinstance(error, Exception):
             return error.with_traceback(None)
     return RuntimeError(f"{type(error).__name__}: {error}")
 
 
 #: How the names of shared files begin.
 SHARED = "shared-"
-#: The shared value of this worker, by its file. It holds at most one, so that a long-lived worker does not fill memory.
-_loaded: dict[str, Any] = {}
 _lock = threading.Lock()  # a worker of dask may run several tasks at once
 
 
@@ -68,32 +65,30 @@ class SharedFile(Generic[T]):
         self._file = tempfile.NamedTemporaryFile(prefix=SHARED, dir=folder)  # noqa: SIM115
         cloudpickle.dump(value, self._file)
         self._file.seek(0)
-        self._path, self._checksum = self._file.name, _checksum(self._file)
+        self._key = self._file.name, hashlib.file_digest(self._file, "sha256").digest()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"_path": self._path, "_checksum": self._checksum}
+        return {"_key": self._key}
 
     def load(self) -> T:
         """The value, in a worker."""
         with _lock:
-            if self._path not in _loaded:
-                _loaded.clear()
-                with open(self._path, "rb") as stream:
-                    if _checksum(stream) != self._checksum:  # others may write to the folder
-                        raise ValueError(f"{self._path}: is not what the first process wrote")
-                    stream.seek(0)
-                    _loaded[self._path] = cloudpickle.load(stream)
-            value: T = _loaded[self._path]
+            value: T = _load(*self._key)
             return value
 
     def close(self) -> None:
         """Deletes the file; no task will use it any more."""
         self._file.close()
-        _loaded.pop(self._path, None)  # tasks may have run in this process
+        _load.cache_clear()  # tasks may have run in this process
 
 
-def _checksum(stream: Any) -> str:
-    return hashlib.file_digest(stream, "sha256").hexdigest()
+@lru_cache(maxsize=1)  # one, so that a long-lived worker does not fill memory
+def _load(path: str, checksum: bytes) -> Any:
+    with open(path, "rb") as stream:
+        if hashlib.file_digest(stream, "sha256").digest() != checksum:  # others may write to the folder
+            raise ValueError(f"{path}: is not what the first process wrote")
+        stream.seek(0)
+        return cloudpickle.load(stream)
 
 
 def end_with(parent: int) -> None:

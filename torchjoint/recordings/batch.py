@@ -7,7 +7,6 @@ import io
 import time
 import warnings
 from collections.abc import Iterable
-from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,7 +17,7 @@ import yaml
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.engine import Engine, Outcome, WorkerDied, open_engine
+from torchjoint.engine import EngineLike, Outcome, WorkerDied, open_engine
 from torchjoint.recordings.one_scene import Job, SceneReport, check_origin, is_done, report_of, run_scene
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_recordings
@@ -127,7 +126,7 @@ def batch(
     scenes: str | Path | Iterable[str | Path],
     out: str | Path,
     *,
-    engine: str | Executor | Engine = "loky",
+    engine: EngineLike = "loky",
     threads: int = 1,
     config: Config | None = None,
     options: RecordingOptions | None = None,
@@ -183,9 +182,7 @@ def batch(
     return BatchReport(job.out, tables.reports, skipped, tables.failures)
 
 
-def _run(
-    job: Job, todo: dict[str, Path], tables: Tables, engine: str | Executor | Engine, threads: int, progress: bool
-) -> None:
+def _run(job: Job, todo: dict[str, Path], tables: Tables, engine: EngineLike, threads: int, progress: bool) -> None:
     """Segments the recordings `todo`. The bar counts all recordings, and estimates the time of the remaining ones."""
     if not todo:
         return

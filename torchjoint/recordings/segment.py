@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
 from contextlib import closing, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,7 @@ from torchjoint.cloud.graph import PointGraph
 from torchjoint.config import Config
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.engine import Engine, SharedFile, open_engine
+from torchjoint.engine import EngineLike, SharedFile, open_engine
 from torchjoint.engine.worker import SHARED
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter, observe
@@ -42,7 +41,7 @@ BATCH = 8
 
 
 def evidence_of_chunks(
-    engine: str | Executor | Engine, folder: Path | None = None
+    engine: EngineLike, folder: Path | None = None
 ) -> Callable[[JointSegmenter, Scene], Iterator[Evidence]]:
     """The evidence of frames, by the workers of an engine: `workers` of :meth:`torchjoint.JointSegmenter.steps`.
 
@@ -51,9 +50,7 @@ def evidence_of_chunks(
     return partial(_in_order, engine, folder)
 
 
-def _in_order(
-    engine: str | Executor | Engine, folder: Path | None, segmenter: JointSegmenter, scene: Scene
-) -> Iterator[Evidence]:
+def _in_order(engine: EngineLike, folder: Path | None, segmenter: JointSegmenter, scene: Scene) -> Iterator[Evidence]:
     """The evidence of the frames that the segmenter's state lacks, in their order (steps 1, 2, 4 and 5).
 
     The workers read those frames that are on disk.
@@ -115,7 +112,7 @@ def segment_recording(
     without_masks: Literal["segment", "leave-out"] = "segment",
     overwrite: bool = False,
     memory: int | str | None = None,
-    engine: str | Executor | Engine | None = None,
+    engine: EngineLike | None = None,
     progress: bool = False,
     watch: Watch | None = None,
     allow_import: bool = False,
@@ -200,7 +197,7 @@ def run(
     scene: Scene,
     checkpoint: Checkpoint,
     *,
-    engine: str | Executor | Engine | None = None,
+    engine: EngineLike | None = None,
     watch: Watch | None = None,
     progress: bool = False,
     batch_size: int = 8,

@@ -11,7 +11,6 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -24,7 +23,7 @@ from tqdm import tqdm
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.engine import Engine, open_engine
+from torchjoint.engine import EngineLike, open_engine
 from torchjoint.results.labelled_file import check_dimension, write_labelled
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
@@ -71,7 +70,7 @@ def superpoints_of_files(
     tile: float | None = None,
     buffer: float | None = None,
     preset: str | SuperpointsConfig = "default",
-    engine: str | Executor | Engine = "loky",
+    engine: EngineLike = "loky",
     overwrite: bool = False,
     progress: bool | None = None,
 ) -> TiledCloud:
@@ -224,9 +223,7 @@ def _check_disk(work: Path, num_points: int, colored: bool) -> None:
         raise ValueError(f"out: expected about {needed / 1e9:.1f} GB free in {work.parent}, got {free / 1e9:.1f} GB")
 
 
-def _segment(
-    cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Executor | Engine, progress: bool | None
-) -> None:
+def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLike, progress: bool | None) -> None:
     """Segments the tiles without labels, several at a time; a single tile is segmented in this process."""
     (work / "labels").mkdir(exist_ok=True)
     tasks = [
