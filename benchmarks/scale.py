@@ -14,6 +14,7 @@ import argparse
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -72,13 +73,13 @@ def workers(folder: Path, rounds: int) -> None:
     rooms = [write_room(folder / f"room{seed}", seed, 8, 50_000) for seed in range(8)]
     with open_engine("loky:1") as one, open_engine("loky:2") as two:
         for engine in (one, two):
-            list(engine.run(lambda _, number: __import__("torchjoint").__version__ and number, range(2), None))
+            list(engine.run(lambda number: __import__("torchjoint").__version__ and number, range(2)))
         for round_ in range(rounds):
             seconds, cpu = [], []
             for engine in (one, two):
                 job = Job(folder / f"out-{round_}-{engine.name}", tj.Config(), RecordingOptions(), overwrite=True)
                 start = time.perf_counter()
-                outcomes = list(engine.run(cpu_seconds, [(room.name, room) for room in rooms], job))
+                outcomes = list(engine.run(partial(cpu_seconds, job), [(room.name, room) for room in rooms]))
                 seconds.append(time.perf_counter() - start)
                 assert all(outcome.error is None for outcome in outcomes)
                 cpu.append(sum(outcome.value for outcome in outcomes))
@@ -102,15 +103,15 @@ def engines(names: list[str], tasks: int) -> None:
 
 def engine(name: str, tasks: int) -> tuple[float, float]:
     with open_engine(name) as opened:
-        list(opened.run(nothing, range(10), None))
+        list(opened.run(nothing, range(10)))
         cpu, start = time.process_time(), time.perf_counter()
-        for outcome in opened.run(nothing, range(tasks), None):
+        for outcome in opened.run(nothing, range(tasks)):
             assert outcome.error is None
         cpu, wall = time.process_time() - cpu, time.perf_counter() - start
     return cpu / tasks * 1e3, tasks / wall
 
 
-def nothing(shared: None, task: int) -> int:
+def nothing(task: int) -> int:
     return task
 
 

@@ -28,7 +28,7 @@ PUBLIC = {
         VisibilityConfig evidence_config evidence_differences marked_parameters marked_table parameter_table presets
         read_assignment read_preset read_yaml superpoint_presets superpoint_table
     """,
-    "torchjoint.engine": "Engine Outcome WorkerDied open_engine tasks_on_machine",
+    "torchjoint.engine": "Engine EngineLike Outcome SharedFile WorkerDied open_engine",
     "torchjoint.recordings": "BatchReport RecordingOptions batch find_recordings segment_recording",
     "torchjoint.scene": "Cloud Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
     "torchjoint.masks": """

@@ -1,9 +1,14 @@
 """Tasks on workers: every task has one outcome, whatever happens to workers, and no process is left."""
 
+import multiprocessing
+import operator
 import os
 import signal
+import threading
 import time
-from contextlib import suppress
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +17,8 @@ import psutil
 import pytest
 import torch
 
-from torchjoint.engine import WorkerDied, open_engine
+from torchjoint.engine import Engine, WorkerDied, open_engine, opening
+from torchjoint.engine.worker import Answer, SharedFile
 
 # Two workers each, whatever the number of cores: a warning is all.
 ENGINES = ["loky:2", "dask:2", "ray:2"]
@@ -85,7 +91,7 @@ class Ran(NamedTuple):
 def ran(request, tmp_path_factory):
     marks = tmp_path_factory.mktemp("marks")
     with open_engine(request.param) as engine:
-        outcomes = {outcome.index: outcome for outcome in engine.run(task, range(9), str(marks))}
+        outcomes = {outcome.index: outcome for outcome in engine.run(partial(task, str(marks)), range(9))}
         started, reached = processes_below(os.getpid()), listening(os.getpid())
         authentication = os.environ.get("RAY_AUTH_MODE")
     workers = {int(file.name.removeprefix("worker-")) for file in marks.glob("worker-*")}
@@ -149,19 +155,102 @@ class OddError(Exception):
 
 @pytest.mark.slow
 def test_what_travels(tmp_path):
-    """Shared values travel once; what cannot travel is told, and stops nothing."""
+    """A shared value is read once by a worker; what cannot travel is told, and stops nothing."""
 
-    def local(shared, number):
+    def local(file, number):
+        file.load()
         if number == 1:
             raise OddError("this", "that")
         return (part for part in "ab") if number == 2 else number
 
-    with open_engine("loky:1") as engine:
-        outcomes = list(engine.run(local, range(5), Counted(str(tmp_path))))
+    (tmp_path / "marks").mkdir()
+    with open_engine("loky:1") as engine, closing(SharedFile(Counted(str(tmp_path / "marks")), tmp_path)) as file:
+        assert engine.executor.submit(operator.methodcaller("load"), file).result() == str(tmp_path / "marks")
+        outcomes = list(engine.run(partial(local, file), range(5)))
     assert [outcome.value for outcome in outcomes] == [0, None, None, 3, 4]
     assert str(outcomes[1].error) == "OddError: this"
     assert "pickle" in str(outcomes[2].error)
-    assert len(list(tmp_path.iterdir())) == 1
+    assert len(list((tmp_path / "marks").iterdir())) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["marks"]
+
+
+def test_a_shared_file_that_others_changed_is_not_unpickled(tmp_path):
+    with closing(SharedFile("mine", tmp_path)) as file:
+        (path,) = tmp_path.iterdir()
+        path.write_bytes(b"yours")
+        with pytest.raises(ValueError, match="is not what the first process wrote"):
+            file.load()
+
+
+class Answering(ThreadPoolExecutor):
+    """A thread; some calls, by their number, get an error of the executor instead."""
+
+    def __init__(self, errors=()):
+        super().__init__(1)
+        self.errors, self.calls = dict(errors), 0
+
+    def submit(self, function, /, *arguments):
+        self.calls += 1
+        if (error := self.errors.get(self.calls)) is None:
+            return super().submit(function, *arguments)
+        future = Future()
+        future.set_exception(error)
+        return future
+
+
+class KilledWorker(Exception):  # noqa: N818
+    """As dask's."""
+
+
+def test_an_executor_of_any_kind():
+    with ThreadPoolExecutor(2) as threads, open_engine(threads, torch.get_num_threads()) as engine:
+        assert (engine.slots(), engine.on_machine) == (2, 2)
+        outcomes = sorted(engine.run(partial(divmod, 7), [5, 0]), key=lambda outcome: outcome.index)
+    assert outcomes[0].value == (1, 2)
+    assert isinstance(outcomes[1].error, ZeroDivisionError)
+
+
+def test_a_cut_connection_and_a_worker_that_dies():
+    errors = {1: ConnectionError(), 2: KilledWorker("one"), 4: KilledWorker("two"), 5: KilledWorker("three")}
+    with Answering(errors) as executor, open_engine(executor, torch.get_num_threads()) as engine:
+        outcomes = list(engine.run(partial(divmod, 7), [5, 3], in_order=True))
+        assert outcomes[0].value == (1, 2)
+        assert str(outcomes[1].error) == "its worker died 2 times: KilledWorker (killed, out of memory, or a crash)"
+        executor.errors = dict.fromkeys(range(20), ConnectionError())
+        with pytest.raises(ConnectionError, match="engine Answering: the connection was cut 3 times"):
+            list(engine.run(partial(divmod, 7), [5, 3]))
+
+
+def test_at_most_so_many_tasks_are_taken():
+    """In order, tasks that ended early wait for the first one, and no further ones are taken."""
+    taken, first = [], Future()
+
+    class Waiting(Answering):
+        def submit(self, function, /, *arguments):
+            return first if arguments[1] == 0 else super().submit(function, *arguments)
+
+    def tasks():
+        for number in range(9):
+            taken.append(number)
+            yield number
+
+    with Waiting() as executor:
+        engine = Engine("waiting", executor, lambda: 2, torch.get_num_threads())
+        threading.Timer(0.5, lambda: first.set_result(Answer(value="first"))).start()
+        outcomes = engine.run(float, tasks(), in_order=True)
+        assert next(outcomes).value == "first"
+        assert taken == [0, 1, 2, 3]
+        assert [outcome.value for outcome in outcomes] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]
+
+
+@pytest.mark.slow
+def test_a_pool_that_breaks_ends_the_run(tmp_path):
+    """Python's pool of processes takes no more tasks after a process was killed."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool, open_engine(pool) as engine:
+        outcomes = engine.run(partial(task, str(tmp_path)), [1, 5])
+        assert next(outcomes).value == (1, 1)
+        with pytest.raises(WorkerDied, match="engine ProcessPoolExecutor: a worker died"):
+            next(outcomes)
 
 
 @pytest.mark.parametrize(
@@ -188,7 +277,7 @@ def test_never_more_threads_than_cores(caplog):
         assert engine.slots() == 1
 
 
-def grows(_, number):
+def grows(number):
     """The second task leaves a worker 400 MB larger, as a large recording may."""
     if number == 1:
         grows.kept = b"1" * 400_000_000
@@ -199,7 +288,7 @@ def grows(_, number):
 @pytest.mark.slow
 def test_a_worker_that_grows_is_replaced_without_a_warning(recwarn):
     with open_engine("loky:1") as engine:
-        outcomes = list(engine.run(grows, range(3), None))
+        outcomes = list(engine.run(grows, range(3)))
     assert [outcome.error for outcome in outcomes] == [None] * 3
     assert outcomes[0].value == outcomes[1].value != outcomes[2].value
     assert not recwarn.list
@@ -208,9 +297,7 @@ def test_a_worker_that_grows_is_replaced_without_a_warning(recwarn):
 @QUIET
 @pytest.mark.slow
 def test_dask_without_a_scheduler(monkeypatch):
-    from torchjoint.engine import dask
-
-    monkeypatch.setattr(dask, "PATIENCE", 1.0)
+    monkeypatch.setattr(opening, "PATIENCE", 1.0)
     message = "engine dask://127.0.0.1:1: no scheduler answers at tcp://127.0.0.1:1"
     with pytest.raises(ConnectionError, match=message), open_engine("dask://127.0.0.1:1"):
         pass
@@ -226,7 +313,7 @@ def test_no_module_of_the_current_folder_is_imported(name, tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONSAFEPATH", "")
     with open_engine(name) as engine:
-        (outcome,) = engine.run(divmod, [5], shared=7)
+        (outcome,) = engine.run(partial(divmod, 7), [5])
     assert outcome.value == (1, 2)
     assert not (tmp_path / "ran").exists()
     assert os.environ["PYTHONSAFEPATH"] == ""

@@ -4,7 +4,7 @@ import csv
 import importlib
 import shutil
 import sys
-from concurrent.futures import Future
+from concurrent.futures import Executor, Future
 from contextlib import nullcontext
 
 import joblib
@@ -14,50 +14,25 @@ from folder_files import write_scans
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.engine import Engine, tasks_on_machine
-from torchjoint.engine.worker import Shared
+from torchjoint.engine import Engine
 from torchjoint.recordings import find_recordings, segment_recording
 from torchjoint.runtime.foreign_files import csv_text
 from torchjoint.runtime.outputs import lock
 from torchjoint.scene.scene import voxel_subsample
 
 
-class Given(Shared):
-    def __init__(self, value):
-        self.key, self.value = str(id(value)), value
-
-    def load(self):
-        return self.value
-
-    def close(self):
-        pass
-
-
-class HereEngine(Engine):
+class HereExecutor(Executor):
     """Runs its tasks at once, in this process."""
 
-    def __init__(self, on_machine=1):
-        super().__init__("here", 1, on_machine)
-        self.started = 0
+    def __init__(self):
+        self.started, self._max_workers = 0, 1
 
-    def slots(self):
-        return 1
-
-    def _share(self, value):
-        return Given(value)
-
-    def _submit(self, call, *arguments):
+    def submit(self, function, /, *arguments):
         self.started += 1
         future, threads = Future(), torch.get_num_threads()
-        future.set_result(call(*arguments))
+        future.set_result(function(*arguments))
         torch.set_num_threads(threads)
         return future
-
-    def _death(self, error):
-        return None
-
-    def close(self):
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +54,7 @@ QUICK = tj.Config().set(["boundary.detector=gradient"])
 def done(scans, tmp_path_factory):
     out = tmp_path_factory.mktemp("batch") / "out"
     report = tj.batch(
-        scans, out, engine=HereEngine(), config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2)
+        scans, out, engine=HereExecutor(), config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2)
     )
     return out, report
 
@@ -109,14 +84,13 @@ def test_the_workers_of_a_machine_share_its_memory(scans, tmp_path, monkeypatch)
     monkeypatch.setattr(tj.recordings.one_scene, "segment_recording", segment)
     monkeypatch.setattr("torchjoint.recordings.one_scene.as_bytes", lambda memory: 12_000 if memory is None else memory)
     for on_machine in (1, 4, None):  # None: a cluster; its machines may run a task on each core
-        tj.batch(scans / "a", tmp_path, engine=HereEngine(on_machine))
+        tj.batch(scans / "a", tmp_path, engine=Engine("here", HereExecutor(), lambda: 1, 1, on_machine))
     assert budgets == [12_000, 3_000, 12_000 // joblib.cpu_count()]
-    assert tasks_on_machine() == 1  # again, after the tasks
 
 
 def test_what_is_done_is_skipped(done, scans):
     out, _ = done
-    before, engine = (out / "summary.csv").read_text(), HereEngine()
+    before, engine = (out / "summary.csv").read_text(), HereExecutor()
     again = tj.batch(scans, out, engine=engine, config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2))
     assert engine.started == 1  # b, once more
     assert again.skipped == ("a", "c")
@@ -126,11 +100,11 @@ def test_what_is_done_is_skipped(done, scans):
 
 def test_other_parameters_are_not_mixed(done, scans):
     with pytest.raises(ValueError, match=r"out: expected the parameters of .*batch\.yaml"):
-        tj.batch(scans, done[0], engine=HereEngine(), config=QUICK)
+        tj.batch(scans, done[0], engine=HereExecutor(), config=QUICK)
     with pytest.raises(FileExistsError, match="a is the result of one recording"):
-        tj.batch(scans, done[0] / "a", engine=HereEngine())
+        tj.batch(scans, done[0] / "a", engine=HereExecutor())
     with lock(done[0] / ".batch.lock", ""), pytest.raises(FileExistsError, match="another batch is writing"):
-        tj.batch(scans, done[0], engine=HereEngine())
+        tj.batch(scans, done[0], engine=HereExecutor())
 
 
 def test_a_model_that_was_trained_anew_is_another_parameter(tmp_path):
@@ -142,13 +116,13 @@ def test_a_model_that_was_trained_anew_is_another_parameter(tmp_path):
     for content in (b"one", b"two"):
         model.write_bytes(content)
         with pytest.raises(ValueError, match="expected the parameters of") if content == b"two" else nullcontext():
-            tj.batch(scans / "a.ply", tmp_path / "out", engine=HereEngine(), config=config)
+            tj.batch(scans / "a.ply", tmp_path / "out", engine=HereExecutor(), config=config)
 
 
 def test_tables_of_others_stay(scans, tmp_path):
     (tmp_path / "summary.csv").write_text("precious")
     with pytest.raises(FileExistsError, match=r"summary\.csv: is of no batch; choose another folder"):
-        tj.batch(scans, tmp_path, engine=HereEngine())
+        tj.batch(scans, tmp_path, engine=HereExecutor())
     assert [path.name for path in tmp_path.iterdir()] == ["summary.csv"]
     assert (tmp_path / "summary.csv").read_text() == "precious"
 
@@ -215,7 +189,7 @@ def test_tables_that_cannot_be_written(scans, tmp_path):
     (out / "summary.csv").mkdir(parents=True)
     with pytest.warns(UserWarning, match=r"summary.csv and failures.csv could not be written"):
         report = tj.batch(
-            scans / "a", out, engine=HereEngine(), config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2)
+            scans / "a", out, engine=HereExecutor(), config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2)
         )
     assert list(report.reports) == ["a"]
     assert len(tj.load_result(out / "a").points) == report.reports["a"].points
@@ -236,7 +210,7 @@ class TestOrigin:
         return [tmp_path / day / "scans" / "kitchen.ply" for day in ("day1", "day2")]
 
     def batch(self, scenes, out, config=QUICK, **options):
-        return tj.batch(scenes, out, engine=HereEngine(), config=config, options=self.OPTIONS, **options)
+        return tj.batch(scenes, out, engine=HereExecutor(), config=config, options=self.OPTIONS, **options)
 
     def test_another_recording_of_the_same_name(self, kitchens, tmp_path):
         day1, day2 = kitchens

@@ -16,7 +16,7 @@ import psutil
 import pytest
 from deadly_batches import CONFIG, ENGINES, OPTIONS, assert_complete, make_known, undisturbed
 from folder_files import write_scans
-from test_batch import HereEngine
+from test_batch import HereExecutor
 
 import torchjoint as tj
 
@@ -95,7 +95,7 @@ def test_the_head_is_killed(engine, scans, deaths, expected, tmp_path, watchers)
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert "2 segmented, 0 were done before, 0 failed" in done.stdout, done.stderr
     else:  # the same batch
-        again = tj.batch(ab, out, engine=HereEngine(), config=CONFIG, options=OPTIONS, allow_import=True)
+        again = tj.batch(ab, out, engine=HereExecutor(), config=CONFIG, options=OPTIONS, allow_import=True)
         assert (sorted(again.reports), again.skipped, again.failures) == (["a", "b"], (), {})
     assert_complete(out, {name: expected[name] for name in "ab"})
 
@@ -204,6 +204,8 @@ def ray_cluster(folder):
 
 def takes_clients(port):
     """Whether a client can connect; the port is open some time before."""
+    # As the engine imports it: another test of this process may open ray on this machine.
+    os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
     import ray
 
     try:

@@ -1,14 +1,17 @@
 """One recording over many workers: the same labels as in one process."""
 
 import contextlib
+import threading
+from concurrent.futures import Future
 from dataclasses import replace
 
 import pytest
 import torch
-from test_batch import HereEngine
+from test_batch import HereExecutor
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.engine.worker import SHARED
 from torchjoint.recordings.segment import evidence_of_chunks, run, segment_recording
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.files import file_checksum
@@ -23,19 +26,20 @@ def assert_same(one, other):
         assert torch.equal(labels, others)
 
 
-class BackwardEngine(HereEngine):
-    """Its tasks end in the reverse order; with a limit, it breaks after some."""
+class SwappingExecutor(HereExecutor):
+    """Every other task ends after the following one; with a limit, it breaks after some tasks."""
 
     def __init__(self, limit=None):
         super().__init__()
-        self.limit = limit
+        self.limit, self._max_workers = limit, 2
 
-    def run(self, function, tasks, shared):
-        outcomes = list(super().run(function, tasks, shared))
-        assert len(outcomes) > 2
-        yield from outcomes[: self.limit] if self.limit else reversed(outcomes)
-        if self.limit:
+    def submit(self, function, /, *arguments):
+        if self.started == self.limit:
             raise ConnectionError("cut")
+        ended, future = super().submit(function, *arguments), Future()
+        future.set_running_or_notify_cancel()  # after a cut, too, it gets its result
+        threading.Timer(0.2 * (self.started % 2), lambda: future.set_result(ended.result())).start()
+        return future
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +51,13 @@ def test_any_order(whole, scene_of, tmp_path):
     scene, segmenter = scene_of(2).scene, tj.JointSegmenter(QUICK)
     checkpoint = Checkpoint(tmp_path / "state", "key")
     with pytest.raises(ConnectionError):
-        run(segmenter, scene, checkpoint, engine=BackwardEngine(limit=2))
+        run(segmenter, scene, checkpoint, engine=SwappingExecutor(limit=3))
+    assert 0 < len(segmenter.state.observations) < len(scene.frames)
+    (checkpoint.directory / f"{SHARED}killed").touch()
     again = Checkpoint(tmp_path / "state", "key")
     segmenter = tj.JointSegmenter(QUICK)
-    assert_same(run(segmenter, scene, again, engine=BackwardEngine()), whole)
+    assert_same(run(segmenter, scene, again, engine=SwappingExecutor()), whole)
+    assert not list(again.directory.glob(f"{SHARED}*"))
     assert segmenter.stopwatch.seconds["boundaries"] > 0
 
 
@@ -65,7 +72,7 @@ def test_an_error_of_a_frame_is_raised(scene_of):
     segmenter.reset(scene.points)
     damaged = replace(scene, frames=Damaged(scene.frames))
     with pytest.raises(OSError, match=r"frame.png: damaged"):
-        list(evidence_of_chunks(HereEngine())(segmenter, damaged))
+        list(evidence_of_chunks(HereExecutor())(segmenter, damaged))
 
 
 def test_a_fused_cloud_is_of_its_format(scene_of, tmp_path, monkeypatch):

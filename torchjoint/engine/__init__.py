@@ -1,16 +1,16 @@
-"""Runs independent tasks on the workers of an engine: loky on this machine, dask or ray on a cluster.
+"""Runs independent tasks on any :class:`concurrent.futures.Executor`; opens loky's, dask's and ray's by their names.
 
 ::
 
     with open_engine("loky:2") as engine:
-        for outcome in engine.run(divmod, [5, 0], shared=7):
+        for outcome in engine.run(functools.partial(divmod, 7), [5, 0]):
             print(outcome.index, outcome.value, outcome.error)
     # 0 (1, 2) None
     # 1 None integer division or modulo by zero
 """
 
 from torchjoint.engine.engine import Engine, Outcome, WorkerDied
-from torchjoint.engine.opening import open_engine
-from torchjoint.engine.worker import tasks_on_machine
+from torchjoint.engine.opening import EngineLike, open_engine
+from torchjoint.engine.worker import SharedFile
 
-__all__ = ["Engine", "Outcome", "WorkerDied", "open_engine", "tasks_on_machine"]
+__all__ = ["Engine", "EngineLike", "Outcome", "SharedFile", "WorkerDied", "open_engine"]

@@ -1,32 +1,32 @@
-"""The base of all engines: tasks go to workers, results come back in any order, and no failure stops other tasks.
+"""Tasks go to an executor, a few at a time; their outcomes come back, and no failure stops other tasks.
 
-The engines' own futures are used, not ``joblib.Parallel``. With joblib 1.6, a task whose worker dies four times on dask
+The executors' futures are used, not ``joblib.Parallel``. With joblib 1.6, a task whose worker dies four times on dask
 disappears without an error, and on ray the death of one worker ends all tasks. Here, a task whose worker dies runs once
 more; if its worker dies again, the task is reported as failed.
 """
 
 from __future__ import annotations
 
-import abc
-import os
+import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from dataclasses import dataclass
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
-from torchjoint.engine.worker import Answer, Shared, answer
+from torchjoint.engine.worker import Answer, call
 
-S = TypeVar("S")
 T = TypeVar("T")
 R = TypeVar("R")
 
 #: A task fails when its workers have died this many times.
 MOST_DEATHS = 2
 
-#: A task whose connection was cut this many times in a row ends the run.
+#: A task whose connection was cut this many times ends the run.
 MOST_CUTS = 3
+
+#: What dask and ray raise, whoever made the executor, where others raise BrokenExecutor.
+_DEATHS = ("KilledWorker", "WorkerCrashedError", "NodeDiedError", "OutOfMemoryError")
 
 
 class WorkerDied(BrokenExecutor):
@@ -56,122 +56,93 @@ class _Task(Generic[T]):
     cuts: int = 0
 
 
-class Engine(abc.ABC):
-    """A set of workers; each runs one task at a time. Close it, or use it in a ``with`` block, to end its processes.
+@dataclass(frozen=True)
+class Engine:
+    """An executor, and what its tasks must know.
 
-    Args:
-        name: as the user gave it.
-        threads: threads of one task; the number of workers times `threads` is at most the number of cores.
+    Attributes:
+        name: for messages.
+        executor: any executor. Tasks whose worker has died are submitted to it again.
+        slots: returns how many tasks can run at once; at least 1 if none is running.
+        threads: threads of one task.
         on_machine: how many tasks a machine runs at a time; None: unknown, so as many as its cores allow.
+        dashboard: address of a page for the browser, if there is one.
     """
 
-    def __init__(self, name: str, threads: int, on_machine: int | None = None) -> None:
-        self.name = name
-        self.threads = threads
-        self.on_machine = on_machine
+    name: str
+    executor: Executor
+    slots: Callable[[], int]
+    threads: int = 1
+    on_machine: int | None = None
+    dashboard: str | None = None
 
-    @abc.abstractmethod
-    def slots(self) -> int:
-        """How many tasks can run at once; at least 1 if none is running."""
+    def run(self, function: Callable[[T], R], tasks: Iterable[T], *, in_order: bool = False) -> Iterator[Outcome[R]]:
+        """Yields the outcome of ``function(task)`` for each task.
 
-    @abc.abstractmethod
-    def _share(self, value: Any) -> Shared:
-        """Wraps a value that all tasks use; the result is an argument for :meth:`_submit`."""
+        At a time, only as many tasks are submitted as can run, so that the death of a worker meets no other task.
 
-    @abc.abstractmethod
-    def _submit(self, call: Callable[..., Answer], *arguments: Any) -> Future[Answer]:
-        """Starts a call on a worker. If the worker dies, the future gets an error that :meth:`_death` recognises."""
-
-    @abc.abstractmethod
-    def _death(self, error: BaseException) -> str | None:
-        """Why a worker died; None if the error is of another kind."""
-
-    def _reconnect(self) -> None:
-        """Connects again, and ends all futures. Called if the connection was lost, which cancels futures."""
-        raise ConnectionError(f"engine {self.name}: the connection was cut")
-
-    @abc.abstractmethod
-    def close(self) -> None:
-        """Ends the workers that this engine has started, without waiting for tasks; may be called twice."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def run(self, function: Callable[[S, T], R], tasks: Iterable[T], shared: S) -> Iterator[Outcome[R]]:
-        """Yields the outcome of ``function(shared, task)`` for each task, in the order in which they end.
-
-        Function, tasks, `shared` and values are pickled (with cloudpickle, so functions may be local). `shared` is sent
-        once to each worker, not once for each task; a task must not change it. At a time, only as many tasks are
-        submitted as there are workers. A task whose worker dies runs once more.
+        Args:
+            function: is pickled with each task; a large value that all tasks use belongs in a :class:`SharedFile`.
+            tasks: are taken when they are submitted.
+            in_order: yield in the order of the tasks, not in the order in which they end. At most twice as many
+                outcomes are in memory as tasks can run.
         """
-        waiting: deque[_Task[T]] = deque()
-        source = (_Task(index, item) for index, item in enumerate(tasks))
+        tasks_left = (_Task(index, item) for index, item in enumerate(tasks))
+        again: deque[_Task[T]] = deque()
         running: dict[Future[Answer], _Task[T]] = {}
-        handle = self._share(shared)
+        ready: dict[int, Outcome[R]] = {}
+        following = 0
         try:
             while True:
-                while len(running) < self.slots():
-                    task = waiting.popleft() if waiting else next(source, None)
+                slots = self.slots()
+                while len(running) < slots:
+                    may_begin = len(running) + len(ready) < 2 * slots
+                    task = again.popleft() if again else next(tasks_left, None) if may_begin else None
                     if task is None:
                         break
-                    running[self._submit(answer, function, handle, task.item, self.threads, self.on_machine)] = task
+                    running[self._submit(function, task.item)] = task
                 if not running:
                     return
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                ended = [(running.pop(future), future) for future in done]
-                if any(_is_cut(future) for _, future in ended):
-                    self._reconnect()
-                    ended += [(task, future) for future, task in running.items()]
-                    running.clear()
-                    handle.close()
-                    handle = self._share(shared)
+                ended = [(running.pop(future), future) for future in wait(running, None, FIRST_COMPLETED).done]
                 for task, future in sorted(ended, key=lambda pair: pair[0].index):
                     outcome = self._outcome(task, future)
                     if outcome is None:
-                        waiting.append(task)
+                        again.append(task)
                     else:
-                        yield outcome
+                        ready[task.index] = outcome
+                while ready and (following in ready or not in_order):
+                    yield ready.pop(following if in_order else min(ready))
+                    following += 1
         finally:
             for future in running:
                 future.cancel()
-            handle.close()
+
+    def _submit(self, function: Callable[[T], R], item: T) -> Future[Answer]:
+        try:
+            return self.executor.submit(call, function, item, self.threads)
+        except BrokenExecutor as error:
+            raise WorkerDied(f"engine {self.name}: a worker died, and it takes no more tasks; open another") from error
 
     def _outcome(self, task: _Task[T], future: Future[Answer]) -> Outcome[Any] | None:
         """How a task ended; None if it has to run again."""
-        if _is_cut(future):
+        error = CancelledError() if future.cancelled() else future.exception()
+        if error is None:
+            return Outcome(task.index, *future.result())
+        if isinstance(error, CancelledError | ConnectionError):
             task.cuts += 1
             if task.cuts < MOST_CUTS:
                 return None
             raise ConnectionError(f"engine {self.name}: the connection was cut {MOST_CUTS} times; is it overloaded?")
-        error = future.exception()
-        if error is None:
-            result = future.result()
-            return Outcome(task.index, result.value, result.error)
-        reason = self._death(error)
-        if reason is None:
-            if not isinstance(error, Exception):
-                raise error  # an interrupt
-            return Outcome(task.index, error=error)  # for example, arguments that cannot be pickled
-        task.deaths += 1
-        if task.deaths < MOST_DEATHS:
-            return None
-        return Outcome(task.index, error=WorkerDied(f"its worker died {MOST_DEATHS} times: {reason}"))
+        if isinstance(error, BrokenExecutor) or type(error).__name__ in _DEATHS:
+            task.deaths += 1
+            if task.deaths < MOST_DEATHS:
+                return None
+            return Outcome(task.index, error=WorkerDied(f"its worker died {MOST_DEATHS} times: {_reason(error)}"))
+        if not isinstance(error, Exception):
+            raise error  # an interrupt
+        return Outcome(task.index, error=error)  # for example, a value that cannot be pickled
 
 
-def _is_cut(future: Future[Answer]) -> bool:
-    return future.cancelled() or isinstance(future.exception(), CancelledError | ConnectionError)
-
-
-@contextmanager
-def variable(name: str, value: str) -> Iterator[None]:
-    """Inside the block, new processes have a variable of the environment."""
-    before = {key: old for key, old in os.environ.items() if key == name}
-    os.environ[name] = value
-    try:
-        yield
-    finally:
-        del os.environ[name]
-        os.environ.update(before)
+def _reason(death: BaseException) -> str:
+    code = re.search(r"\{(.*?)\}", str(death))  # loky tells the exit code
+    return f"{code[1] if code else type(death).__name__} (killed, out of memory, or a crash)"

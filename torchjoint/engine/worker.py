@@ -1,18 +1,23 @@
-"""The code that runs in a worker: it calls a task's function, and handles its errors."""
+"""The code that runs in a worker: it calls a task's function, handles its errors, and ends with the first process."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pickle
+import tempfile
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextvars import ContextVar
-from typing import Any, NamedTuple
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, TypeVar
 
-import joblib
+import cloudpickle
 import torch
+
+T = TypeVar("T")
 
 #: Seconds between a worker's checks that the process that started it still runs.
 INTERVAL = 0.5
@@ -25,66 +30,65 @@ class Answer(NamedTuple):
     error: Exception | None = None
 
 
-class Shared(ABC):
-    """A reference to a value that all tasks use; each worker loads it once."""
-
-    key: str
-
-    @abstractmethod
-    def load(self) -> Any:
-        """Loads the value in a worker."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Frees the value; no task will use it any more."""
-
-
-#: The shared value of this worker, by its key. It holds at most one, so that a long-lived worker does not fill memory.
-_loaded: dict[str, Any] = {}
-_lock = threading.Lock()  # a worker of dask may run several tasks at once
-#: The result of :func:`tasks_on_machine` in the task of this thread.
-_on_machine: ContextVar[int] = ContextVar("torchjoint_tasks_on_machine", default=1)
-
-
-def tasks_on_machine() -> int:
-    """How many tasks of the engine this machine may run at a time, so that each takes its share; 1 outside a task."""
-    return _on_machine.get()
-
-
-def answer(
-    function: Callable[[Any, Any], Any], shared: Any, task: Any, threads: int, on_machine: int | None = None
-) -> Answer:
+def call(function: Callable[[Any], Any], item: Any, threads: int) -> Answer:
     """Runs a task on `threads` threads. Returns an error of the task, so that only errors of the engine are raised."""
-    sharing = _on_machine.set(max(1, joblib.cpu_count() // threads) if on_machine is None else on_machine)
     try:
         torch.set_num_threads(threads)
-        return Answer(function(_value(shared), task))
+        return Answer(function(item))
     except (Exception, SystemExit) as error:
         return Answer(error=_portable(error))
-    finally:
-        _on_machine.reset(sharing)
-
-
-def _value(shared: Any) -> Any:
-    if not isinstance(shared, Shared):
-        return shared
-    with _lock:
-        if shared.key not in _loaded:
-            _loaded.clear()
-            _loaded[shared.key] = shared.load()
-        return _loaded[shared.key]
 
 
 def _portable(error: BaseException) -> Exception:
     """The error if it can be pickled; else a RuntimeError with its name and message."""
-    if isinstance(error, Exception):
-        try:
-            pickle.loads(pickle.dumps(error))
-        except Exception:  # the error's own code may raise anything
-            pass
-        else:
+    with suppress(Exception):  # the error's own code may raise anything
+        pickle.loads(pickle.dumps(error))
+        if isinstance(error, Exception):
             return error.with_traceback(None)
     return RuntimeError(f"{type(error).__name__}: {error}")
+
+
+#: How the names of shared files begin.
+SHARED = "shared-"
+_lock = threading.Lock()  # a worker of dask may run several tasks at once
+
+
+class SharedFile(Generic[T]):
+    """A value that all tasks use, pickled to a temporary file once; each worker reads it once.
+
+    Args:
+        value: tasks must not change it.
+        folder: of the file, for workers on other machines one that they see; default: that of temporary files.
+    """
+
+    def __init__(self, value: T, folder: Path | None = None) -> None:
+        self._file = tempfile.NamedTemporaryFile(prefix=SHARED, dir=folder)  # noqa: SIM115
+        cloudpickle.dump(value, self._file)
+        self._file.seek(0)
+        self._key = self._file.name, hashlib.file_digest(self._file, "sha256").digest()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_key": self._key}
+
+    def load(self) -> T:
+        """The value, in a worker."""
+        with _lock:
+            value: T = _load(*self._key)
+            return value
+
+    def close(self) -> None:
+        """Deletes the file; no task will use it any more."""
+        self._file.close()
+        _load.cache_clear()  # tasks may have run in this process
+
+
+@lru_cache(maxsize=1)  # one, so that a long-lived worker does not fill memory
+def _load(path: str, checksum: bytes) -> Any:
+    with open(path, "rb") as stream:
+        if hashlib.file_digest(stream, "sha256").digest() != checksum:  # others may write to the folder
+            raise ValueError(f"{path}: is not what the first process wrote")
+        stream.seek(0)
+        return cloudpickle.load(stream)
 
 
 def end_with(parent: int) -> None:

@@ -8,7 +8,8 @@ import time
 import warnings
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import yaml
 from tqdm import tqdm
 
 from torchjoint.config import Config
-from torchjoint.engine import Engine, Outcome, WorkerDied, open_engine
+from torchjoint.engine import EngineLike, Outcome, WorkerDied, open_engine
 from torchjoint.recordings.one_scene import Job, SceneReport, check_origin, is_done, report_of, run_scene
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_recordings
@@ -125,7 +126,7 @@ def batch(
     scenes: str | Path | Iterable[str | Path],
     out: str | Path,
     *,
-    engine: str | Engine = "loky",
+    engine: EngineLike = "loky",
     threads: int = 1,
     config: Config | None = None,
     options: RecordingOptions | None = None,
@@ -143,8 +144,8 @@ def batch(
         scenes: recordings, folders of data sets, patterns, and files that list them; see
             :func:`torchjoint.recordings.find_recordings`.
         out: folder for the results; workers on other machines must see it and the recordings at the same paths.
-        engine: the workers; see :func:`torchjoint.engine.open_engine`. A script that uses dask on this machine must
-            call this function below ``if __name__ == "__main__":``.
+        engine: the workers: any executor, or a name; see :func:`torchjoint.engine.open_engine`. A script that uses dask
+            on this machine must call this function below ``if __name__ == "__main__":``.
         threads: threads of one recording. Workers on this machine never have more threads than there are cores.
         config: parameters of the method; default ``Config()``.
         options: how recordings are read; default ``RecordingOptions()``.
@@ -158,7 +159,8 @@ def batch(
     Raises:
         ValueError, TypeError: an argument is invalid, or OUT holds results of other parameters.
         FileExistsError: another batch is writing to OUT, or OUT is in use for something else.
-        ConnectionError: the engine cannot be reached. Start the batch again; it skips finished recordings.
+        ConnectionError, WorkerDied: the engine cannot be reached, or takes no more tasks. Start the batch again; it
+            skips finished recordings.
 
     Warns:
         UserWarning: the last write of the tables failed, for example because the disk is full.
@@ -180,7 +182,7 @@ def batch(
     return BatchReport(job.out, tables.reports, skipped, tables.failures)
 
 
-def _run(job: Job, todo: dict[str, Path], tables: Tables, engine: str | Engine, threads: int, progress: bool) -> None:
+def _run(job: Job, todo: dict[str, Path], tables: Tables, engine: EngineLike, threads: int, progress: bool) -> None:
     """Segments the recordings `todo`. The bar counts all recordings, and estimates the time of the remaining ones."""
     if not todo:
         return
@@ -189,7 +191,8 @@ def _run(job: Job, todo: dict[str, Path], tables: Tables, engine: str | Engine, 
         tqdm(total=done + len(todo), initial=done, desc="recordings", unit="scene", disable=not progress) as bar,
         open_engine(engine, threads) as workers,
     ):
-        for outcome in workers.run(run_scene, [(name, path.absolute()) for name, path in todo.items()], job):
+        task = partial(run_scene, replace(job, tasks_on_machine=workers.on_machine))
+        for outcome in workers.run(task, [(name, path.absolute()) for name, path in todo.items()]):
             _note(names[outcome.index], outcome, tables)
             bar.update()
             if tables.failures:

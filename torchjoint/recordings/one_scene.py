@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
+import joblib
+import torch
+
 from torchjoint.config import Config
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.engine import tasks_on_machine
 from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.segment import segment_recording
 from torchjoint.results.folder import Origin, read_origin, read_record
@@ -54,6 +56,7 @@ class Job:
     options: RecordingOptions
     overwrite: bool
     allow_import: bool = False
+    tasks_on_machine: int | None = None  #: how many recordings a machine works on; None: what its cores allow
 
     def folder(self, name: str) -> Path:
         """The result folder of a recording."""
@@ -66,7 +69,8 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
     The tasks that a machine runs at a time share the default memory for frames.
     """
     name, path = scene
-    out, memory = job.folder(name), as_bytes(None) // tasks_on_machine()
+    tasks_on_machine = job.tasks_on_machine or max(1, joblib.cpu_count() // torch.get_num_threads())
+    out, memory = job.folder(name), as_bytes(None) // tasks_on_machine
     end = time.monotonic() + PATIENCE
     reset_peak_memory()
     with warnings.catch_warnings(record=True) as caught:

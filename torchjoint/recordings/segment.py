@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -14,7 +14,8 @@ from torchjoint.cloud.graph import PointGraph
 from torchjoint.config import Config
 from torchjoint.datasets import load_scene
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.engine import Engine
+from torchjoint.engine import EngineLike, SharedFile, open_engine
+from torchjoint.engine.worker import SHARED
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter, observe
 from torchjoint.masks import read_folder
@@ -39,46 +40,47 @@ CHUNKS, LARGEST = 4, 64
 BATCH = 8
 
 
-def evidence_of_chunks(engine: Engine) -> Callable[[JointSegmenter, Scene], Iterator[Evidence]]:
-    """The evidence of frames, by the workers of an engine: `workers` of :meth:`torchjoint.JointSegmenter.steps`."""
-    return partial(_in_order, engine)
+def evidence_of_chunks(
+    engine: EngineLike, folder: Path | None = None
+) -> Callable[[JointSegmenter, Scene], Iterator[Evidence]]:
+    """The evidence of frames, by the workers of an engine: `workers` of :meth:`torchjoint.JointSegmenter.steps`.
+
+    The cloud's graph is written once to a temporary file in `folder`, which workers on other machines must see.
+    """
+    return partial(_in_order, engine, folder)
 
 
-def _in_order(engine: Engine, segmenter: JointSegmenter, scene: Scene) -> Iterator[Evidence]:
+def _in_order(engine: EngineLike, folder: Path | None, segmenter: JointSegmenter, scene: Scene) -> Iterator[Evidence]:
     """The evidence of the frames that the segmenter's state lacks, in their order (steps 1, 2, 4 and 5).
 
-    The cloud's graph is sent once to each worker. The workers read those frames that are on disk.
+    The workers read those frames that are on disk.
 
     Args:
-        engine: the workers.
+        engine, folder: the workers, and where they find the graph.
         segmenter: has been reset to the scene's cloud.
         scene: the cloud and its frames.
     """
     frames, done = scene.frames, len(segmenter.state.observations)
     if done == len(frames):
         return
-    size = min(LARGEST, math.ceil((len(frames) - done) / (CHUNKS * max(1, engine.slots()))))
-    chunks = [range(len(frames))[start : start + size] for start in range(done, len(frames), size)]
-    ready: dict[int, tuple[Evidence, dict[str, float]]] = {}
-    following = 0
-    shared = (frames, segmenter.graph, segmenter.config, segmenter.image_segmenter)
-    for outcome in engine.run(_evidence, chunks, shared):
-        if outcome.error is not None:
-            raise outcome.error
-        assert outcome.value is not None
-        ready[outcome.index] = outcome.value
-        while following in ready:
-            evidence, seconds = ready.pop(following)
+    shared = frames, segmenter.graph, segmenter.config, segmenter.image_segmenter
+    with open_engine(engine) as workers, closing(SharedFile(shared, folder)) as file:
+        size = min(LARGEST, math.ceil((len(frames) - done) / (CHUNKS * max(1, workers.slots()))))
+        chunks = [range(len(frames))[start : start + size] for start in range(done, len(frames), size)]
+        for outcome in workers.run(partial(_evidence, file), chunks, in_order=True):
+            if outcome.error is not None:
+                raise outcome.error
+            assert outcome.value is not None
+            evidence, seconds = outcome.value
             segmenter.stopwatch.add(seconds)
             yield evidence
-            following += 1
 
 
 def _evidence(
-    shared: tuple[Sequence[Frame], PointGraph, Config, ImageSegmenter], chunk: range
+    file: SharedFile[tuple[Sequence[Frame], PointGraph, Config, ImageSegmenter]], chunk: range
 ) -> tuple[Evidence, dict[str, float]]:
     """The task of a worker: computes the evidence of a chunk, and the seconds by stage."""
-    frames, graph, config, images = shared
+    frames, graph, config, images = file.load()
     evidence, stopwatch = Evidence.empty(graph), Stopwatch()
     for start in range(0, len(chunk), BATCH):
         with stopwatch("load frames"):
@@ -110,7 +112,7 @@ def segment_recording(
     without_masks: Literal["segment", "leave-out"] = "segment",
     overwrite: bool = False,
     memory: int | str | None = None,
-    engine: Engine | None = None,
+    engine: EngineLike | None = None,
     progress: bool = False,
     watch: Watch | None = None,
     allow_import: bool = False,
@@ -127,7 +129,7 @@ def segment_recording(
         overwrite: replace an earlier result.
         memory: memory for the data of the frames, see :class:`~torchjoint.JointSegmenter`; the rest goes to the disk of
             `out`.
-        engine: workers for the frames; None: this process. The labels are the same.
+        engine: workers for the frames: any executor, or a name; None: this process. The labels are the same.
         progress: show progress bars.
         watch: is called before the first frame and after each batch; it must not change its arguments.
         allow_import: import the code that the config names, see :class:`torchjoint.JointSegmenter`.
@@ -195,13 +197,15 @@ def run(
     scene: Scene,
     checkpoint: Checkpoint,
     *,
-    engine: Engine | None = None,
+    engine: EngineLike | None = None,
     watch: Watch | None = None,
     progress: bool = False,
     batch_size: int = 8,
 ) -> Segmentation:
     """``segmenter(scene)`` that saves its state from time to time, and goes on from a saved one; arguments as above."""
-    workers = None if engine is None else evidence_of_chunks(engine)
+    for left in checkpoint.directory.glob(f"{SHARED}*"):
+        left.unlink()  # by a run that was killed
+    workers = None if engine is None else evidence_of_chunks(engine, checkpoint.directory)
     steps = segmenter.steps(scene, progress=progress, batch_size=batch_size, resume=checkpoint.load, workers=workers)
     for number, _ in enumerate(steps):
         if number:  # before the first frame there is nothing to save

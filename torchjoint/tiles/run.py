@@ -11,6 +11,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +23,7 @@ from tqdm import tqdm
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.engine import Engine, open_engine
+from torchjoint.engine import EngineLike, open_engine
 from torchjoint.results.labelled_file import check_dimension, write_labelled
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
@@ -69,7 +70,7 @@ def superpoints_of_files(
     tile: float | None = None,
     buffer: float | None = None,
     preset: str | SuperpointsConfig = "default",
-    engine: str | Engine = "loky",
+    engine: EngineLike = "loky",
     overwrite: bool = False,
     progress: bool | None = None,
 ) -> TiledCloud:
@@ -89,8 +90,8 @@ def superpoints_of_files(
         buffer: width of the rim that a tile shares with its neighbours, metres; default: 60 x the typical distance of
             neighbouring points.
         preset: as in :func:`torchjoint.superpoints`.
-        engine: where the tiles are segmented, see :func:`torchjoint.engine.open_engine`. The workers must be able to
-            access the folder of `out`. "loky:1" is this process.
+        engine: where the tiles are segmented: any executor, or a name; see :func:`torchjoint.engine.open_engine`. The
+            workers must be able to access the folder of `out`. "loky:1" is this process.
         overwrite: replace an earlier result.
         progress: show progress bars; None: if there is a terminal.
 
@@ -222,7 +223,7 @@ def _check_disk(work: Path, num_points: int, colored: bool) -> None:
         raise ValueError(f"out: expected about {needed / 1e9:.1f} GB free in {work.parent}, got {free / 1e9:.1f} GB")
 
 
-def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Engine, progress: bool | None) -> None:
+def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLike, progress: bool | None) -> None:
     """Segments the tiles without labels, several at a time; a single tile is segmented in this process."""
     (work / "labels").mkdir(exist_ok=True)
     tasks = [
@@ -238,7 +239,7 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: str | Eng
                 bar.update()
             return
         with open_engine(engine) as opened:
-            for outcome in opened.run(lambda shared, task: segment_tile(*shared, task), tasks, (cut.white, config)):
+            for outcome in opened.run(partial(segment_tile, cut.white, config), tasks):
                 if outcome.error is not None:
                     raise outcome.error
                 bar.update()
