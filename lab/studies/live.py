@@ -74,7 +74,7 @@ def main() -> None:
         means += [_cell(values) for values in last.mean(0).T]
         rows.append([f"{kind}, {len(found)}", f"{found[..., 0].mean():.0f}", *_pairs(means[1:5]), *means[5:]])
     columns = ["kind, scenes", f"keyframes of {arguments.dense}", "F / best IoU", "with all frames", "covering"]
-    columns += ["things whose id lasts", "points in them"]
+    columns += ["things whose id lasts", "points in them", "things with it at the end"]
     report.show("keyframes", report.table(columns, rows), arguments.write)
 
 
@@ -103,7 +103,7 @@ def compared(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[f
 
 
 def settled(kind: str, seed: int, arguments: argparse.Namespace) -> list[list[float]]:
-    """For each run: the share of things whose id lasts, once they are settled; and that of the points in them."""
+    """For each run what :func:`lasting` gives, once things are settled."""
 
     def measure(_: tj.Scene, frames: Sequence[tj.Frame]) -> list[float]:
         return list(lasting(results_of(frames, EVERY_DENSE), SETTLED // EVERY_DENSE))
@@ -171,7 +171,7 @@ def judged(scene: tj.Scene, noise: float, run: int) -> list[float]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         results = results_of(frames, EVERY)
-    return [*against(scene, results[-1]), *lasting(results)]
+    return [*against(scene, results[-1]), *lasting(results)[:2]]
 
 
 def disturbed(frames: Sequence[tj.Frame], noise: float, random: Generator) -> list[tj.Frame]:
@@ -193,24 +193,27 @@ def disturbed(frames: Sequence[tj.Frame], noise: float, random: Generator) -> li
     return found
 
 
-def lasting(results: Sequence[tj.LiveResult], settling: int = 0) -> tuple[float, float]:
-    """The share of the last things that have kept their id since they were whole; and that of the points in them.
+def lasting(results: Sequence[tj.LiveResult], settling: int = 0) -> tuple[float, float, float]:
+    """The share of the last things that have kept their id since they were whole; that of the points in them.
 
-    The first results after they were whole, `settling`, do not count; nor do things that were whole in no more.
+    And the share of those that had their last id in the first result that counts. The first results after they were
+    whole, `settling`, do not count; nor do things that were whole in no more.
     """
     cubes = [cubes_of(result) for result in results]
-    last, kept, size = cubes[-1], [], []
+    last, kept, at_end, size = cubes[-1], [], [], []
     for thing in sorted(set(last.values())):
         own = [cube for cube, label in last.items() if label == thing]
         seen = [[before[cube] for cube in own if cube in before] for before in cubes]
         whole = [labels for labels in seen if len(labels) >= WHOLE * len(own)]
         if len(whole) > settling:
-            kept.append(all(2 * labels.count(thing) > len(labels) for labels in whole[settling:]))
+            has_it = [2 * labels.count(thing) > len(labels) for labels in whole[settling:]]
+            kept.append(all(has_it))
+            at_end.append(has_it[0])
             size.append(int((results[-1].labels == thing).sum()))
     if not kept:
-        return math.nan, math.nan
+        return math.nan, math.nan, math.nan
     weight = np.array(size) / sum(size)
-    return float(np.mean(kept)), float((weight * np.array(kept)).sum())
+    return float(np.mean(kept)), float((weight * np.array(kept)).sum()), float(np.mean(at_end))
 
 
 def cubes_of(result: tj.LiveResult) -> dict[tuple[int, ...], int]:

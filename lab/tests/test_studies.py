@@ -138,9 +138,9 @@ def test_an_id_lasts_if_the_thing_had_it_since_it_was_whole(study):
         return SimpleNamespace(cloud=cloud, labels=torch.tensor(labels))
 
     # 7 was 5 as long as half of it was seen, which does not count; 8 was 6 when it was whole.
-    assert live.lasting([result([5]), result([7, 7, 6, 6]), result([7, 7, 8, 8])]) == (0.5, 0.5)
+    assert live.lasting([result([5]), result([7, 7, 6, 6]), result([7, 7, 8, 8])]) == (0.5, 0.5, 0.5)
     # The first result in which 8 was whole does not count; 9 was whole in no other.
     results = [result([8, 8]), result([6, 6]), result([8, 8, 9, 9]), result([8, 8, 9, 9])]
-    assert live.lasting(results, 2) == (1.0, 1.0)
-    assert live.lasting(results, 1) == (0.5, 0.5)
+    assert live.lasting(results, 2) == (1.0, 1.0, 1.0)
+    assert live.lasting(results, 1) == (0.5, 0.5, 0.5)
     assert live.cubes_of(result([1, 2])) == {(0, 0, 0): 1, (1, 0, 0): 2}

@@ -69,6 +69,26 @@ def test_an_id_that_is_gone_does_not_come_back():
     assert changes.born == (2,)
 
 
+def test_what_was_merged_for_some_results_gets_its_id_back():
+    for between in (["0000000111"], ["0000000111"] * 3):
+        ids, changes = named("0001111222", *between, "0001111222")
+        assert ids == [0, 1, 2]
+        assert changes == ((), (), {}, {0: 1})
+
+
+def test_a_part_that_is_not_most_of_a_former_thing_gets_a_new_id():
+    ids, changes = named("0000111111", "0000000000", "0112222222")
+    assert ids == [2, 3, 1]
+    assert changes.split == {2: 1, 3: 1}
+
+
+def test_an_id_that_lives_is_not_given_twice():
+    """The left part of 0 became 1's, and is apart now; but 0 is still there."""
+    ids, changes = named("0000011111", "0001111111", "0002211111")
+    assert ids == [0, 1, 2]
+    assert changes.split == {2: 1}
+
+
 def test_a_cube_belongs_to_most_of_its_points():
     lasting = LastingIds()
     lasting.name(torch.tensor([0, 0, 0, 1, 1]), torch.tensor([0, 1, 1, 0, 0]))

@@ -150,8 +150,18 @@ class TestStates:
     @pytest.mark.parametrize(
         ("part", "message"),
         [
-            ({"ids": {"cube": torch.tensor([1]), "id": torch.tensor([-3]), "next": 1}}, "ids: expected 0 to 0, got -3"),
-            ({"ids": {"cube": torch.tensor([1]), "id": torch.tensor([0, 0]), "next": 1}}, "ids: expected ascending"),
+            (
+                {"ids": {"cube": torch.tensor([1]), "id": torch.tensor([-3]), "last": torch.tensor([0]), "next": 1}},
+                "ids: expected 0 to 0, got -3",
+            ),
+            (
+                {"ids": {"cube": torch.tensor([1]), "id": torch.tensor([0, 0]), "last": torch.tensor([0]), "next": 1}},
+                "ids: expected ascending",
+            ),
+            (
+                {"ids": {"cube": torch.tensor([1]), "id": torch.tensor([0]), "last": torch.tensor([4]), "next": 1}},
+                "last ids: expected -1 to 0, got 4",
+            ),
             ({"pose": torch.zeros(4, 4)}, "pose: expected a rigid transform"),
             ({"origin": torch.zeros(7, dtype=torch.float64)}, "origin: expected shape"),
             ({"volume": {"key": torch.tensor([2, 1]), "sums": torch.zeros(2, 1)}}, "volume: expected ascending blocks"),

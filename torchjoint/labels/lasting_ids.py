@@ -25,14 +25,16 @@ class LastingIds:
 
     Results are compared cube by cube; a cube belongs to the segment that has most of its points. Each former thing is
     at home in the segment that has most of its cubes (ties: the lowest). A segment takes the id of the thing that is at
-    home there with most cubes (ties: the oldest); the others have merged with it. All other segments get new ids, and
-    ids do not come back. A new one was split off if more than half of its cubes are those of one former thing, else it
-    is born. What has merged must have more than half of its cubes there, else it is gone.
+    home there with most cubes (ties: the oldest); the others have merged with it. Another segment takes back an id that
+    has merged or is gone, if it has more than half of the cubes that this id had, and they are more than half of its
+    own; the rest gets new ids. What is new or back was split off if more than half of its cubes are those of one former
+    thing, else it is born. What has merged must have more than half of its cubes there, else it is gone.
     """
 
     def __init__(self) -> None:
         self._cube = torch.zeros(0, dtype=torch.int64)  # ascending
         self._id = torch.zeros(0, dtype=torch.int64)  # of each cube
+        self._last = torch.zeros(0, dtype=torch.int64)  # of each cube the id before that one, -1 = none
         self._next = 0
 
     def name(self, cube: Tensor, segment: Tensor) -> tuple[Tensor, Changes]:
@@ -51,9 +53,10 @@ class LastingIds:
         tenant: dict[int, int] = {}
         merged: dict[int, int] = {}  # the home of what is mostly in one segment
         parent: dict[int, int] = {}  # the former thing to which most of a segment belonged
-        before_size = dict(zip(*(one.tolist() for one in self._id.unique(return_counts=True)), strict=True))
+        before_size = _sizes(self._id)
         now_size = torch.bincount(segment_of_cube).tolist()
-        for count, old, new in self._shared(cube, segment_of_cube):
+        before, last = self._known(cube)
+        for count, old, new in _shared(before, segment_of_cube):
             if old not in home:
                 home[old] = new
                 tenant.setdefault(new, old)
@@ -61,42 +64,66 @@ class LastingIds:
                 merged[old] = new
             if 2 * count > now_size[new]:
                 parent[new] = old
+        living, last_size = set(tenant.values()), _sizes(self._last)
+        for count, old, new in _shared(last, segment_of_cube):
+            if old not in living and new not in tenant and 2 * count > max(last_size[old], now_size[new]):
+                tenant[new] = old
+                living.add(old)
         fresh = [new for new in range(num_segments) if new not in tenant]
         name = tenant | dict(zip(fresh, range(self._next, self._next + len(fresh)), strict=True))
         ids = torch.tensor([name[new] for new in range(num_segments)])
-        lost = sorted(set(self._id.tolist()) - set(tenant.values()))
+        had = set(before_size)
+        appeared = [new for new in range(num_segments) if name[new] not in had]
+        lost = sorted(had - living)
         changes = Changes(
-            tuple(name[new] for new in fresh if new not in parent),
+            tuple(name[new] for new in appeared if new not in parent),
             tuple(old for old in lost if old not in merged),
             {old: name[merged[old]] for old in lost if old in merged},
-            {name[new]: parent[new] for new in fresh if new in parent},
+            {name[new]: parent[new] for new in appeared if new in parent},
         )
-        self._cube, self._id, self._next = cube, ids[segment_of_cube], self._next + len(fresh)
+        now = ids[segment_of_cube]
+        self._last = torch.where((before == now) | (before < 0), last, before)
+        self._cube, self._id, self._next = cube, now, self._next + len(fresh)
         return ids, changes
 
     def state(self) -> dict[str, Tensor | int]:
         """What :meth:`restore` takes."""
-        return {"cube": self._cube, "id": self._id, "next": self._next}
+        return {"cube": self._cube, "id": self._id, "last": self._last, "next": self._next}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Goes on with the ids of another object."""
-        cube, ids, after = state["cube"], state["id"], state["next"]
-        whole = all(one.dtype == torch.int64 and one.shape == (len(ids),) for one in (cube, ids))
+        cube, ids, last, after = state["cube"], state["id"], state["last"], state["next"]
+        whole = all(one.dtype == torch.int64 and one.shape == (len(ids),) for one in (cube, ids, last))
         if not whole or type(after) is not int or not 0 <= after < 1 << 62 or bool((cube.diff() <= 0).any()):
-            raise ValueError("ids: expected ascending cubes, an id for each, and the next id")
-        if len(ids) and not 0 <= int(ids.min()) <= int(ids.max()) < after:
-            raise ValueError(f"ids: expected 0 to {after - 1}, got {int(ids.min())} to {int(ids.max())}")
-        self._cube, self._id, self._next = cube, ids, after
+            raise ValueError("ids: expected ascending cubes, two ids for each, and the next id")
+        for name, numbers, least in (("ids", ids, 0), ("last ids", last, -1)):
+            if len(ids) and not least <= int(numbers.min()) <= int(numbers.max()) < after:
+                raise ValueError(
+                    f"{name}: expected {least} to {after - 1}, got {int(numbers.min())} to {int(numbers.max())}"
+                )
+        self._cube, self._id, self._last, self._next = cube, ids, last, after
 
-    def _shared(self, cube: Tensor, segment: Tensor) -> list[tuple[int, int, int]]:
-        """(number of shared cubes, former thing, segment): most cubes first, then the oldest and the lowest."""
+    def _known(self, cube: Tensor) -> tuple[Tensor, Tensor]:
+        """The ids of cubes in the result before, and the ids before those, -1 = none."""
         if not len(self._cube):
-            return []
+            return torch.full_like(cube, -1), torch.full_like(cube, -1)
         place = torch.searchsorted(self._cube, cube).clamp(max=len(self._cube) - 1)
         known = self._cube[place] == cube
-        pairs, count = torch.unique(torch.stack([self._id[place[known]], segment[known]]), dim=1, return_counts=True)
-        order = torch.argsort(count, descending=True, stable=True)
-        return list(zip(count[order].tolist(), *pairs[:, order].tolist(), strict=True))
+        return torch.where(known, self._id[place], -1), torch.where(known, self._last[place], -1)
+
+
+def _shared(ids: Tensor, segment: Tensor) -> list[tuple[int, int, int]]:
+    """(number of shared cubes, id, segment): most cubes first, then the oldest and the lowest; -1 is no id."""
+    known = ids >= 0
+    pairs, count = torch.unique(torch.stack([ids[known], segment[known]]), dim=1, return_counts=True)
+    order = torch.argsort(count, descending=True, stable=True)
+    return list(zip(count[order].tolist(), *pairs[:, order].tolist(), strict=True))
+
+
+def _sizes(ids: Tensor) -> dict[int, int]:
+    """How many cubes have each id; -1 is none."""
+    found, count = ids[ids >= 0].unique(return_counts=True)
+    return dict(zip(found.tolist(), count.tolist(), strict=True))
 
 
 def _majority(cube: Tensor, segment: Tensor) -> tuple[Tensor, Tensor]:
