@@ -1,4 +1,4 @@
-"""Training scenes as another recording would have them: in other light, with fewer points, with noise."""
+"""Training scenes as another recording would have them: in other light, with fewer points, with noise, without images."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ OF_COLORS = (
 
 
 def varied(scene: Scene, key: str, share: float) -> Scene:
-    """The scene with one disturbance of its points, one of its colours, both, or none.
+    """The scene with one disturbance of its points, one of its colours, both, or none; perhaps without its frames.
+
+    A cloud alone has normals whose sides nobody knows, so that what is convex cannot be told from what is hollow.
 
     Args:
         scene: with ``truth.points``.
         key: decides what happens: equal keys, equal scenes.
-        share: the probability of each of the two disturbances.
+        share: the probability of each of the two disturbances, and that of having no frames.
     """
     generator = torch.Generator().manual_seed(int.from_bytes(hashlib.sha256(key.encode()).digest()[:7]))
     for names in (OF_POINTS, OF_COLORS):
@@ -36,4 +38,5 @@ def varied(scene: Scene, key: str, share: float) -> Scene:
             disturbed = disturbance(scene, generator)
             instance = scene.truth.points[disturbed.original.clamp(min=0)].masked_fill(disturbed.original < 0, -1)
             scene = replace(disturbed.scene, truth=Truth(instance))
-    return scene
+    is_alone = float(torch.rand(1, generator=generator)) < share
+    return replace(scene, frames=()) if is_alone else scene
