@@ -257,6 +257,15 @@ def test_the_nearest_point_decides():
         nearest_labels(result, asked + 100)
 
 
+def test_a_file_that_was_moved_is_told():
+    points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
+    result = result_of(points, torch.arange(400))
+    order = torch.randperm(400)
+    assert torch.equal(nearest_labels(result, points[order] + 0.25), order)
+    with pytest.warns(UserWarning, match="farther than 5 m, whose neighbours are 1 m apart; was the file moved"):
+        nearest_labels(result, points + torch.tensor([0.0, 0, 5]))
+
+
 def test_files_that_cannot_be_labelled(tmp_path, run):
     with pytest.raises(ValueError, match=r"a\.txt: expected a file that ends in \.ply, \.obj"):
         label_file(tmp_path / "a.txt", tmp_path / "b.ply", of_squares())

@@ -7,6 +7,7 @@ vertices than the result has points: those that were thinned out, faint splats, 
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
@@ -102,6 +103,8 @@ def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> 
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
 FAR = 0.25
+#: If they are farther than so many times the distance between neighbours of the result, it may have moved.
+AWAY = 4
 
 
 def nearest_labels(result: Result, points: Tensor) -> Tensor:
@@ -132,13 +135,16 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
         return torch.arange(len(own))
     from scipy.spatial import cKDTree
 
-    distance, index = cKDTree(own.double().numpy()).query(points[finite].double().numpy(), workers=-1)
+    tree = cKDTree(own.double().numpy())
+    distance, index = tree.query(points[finite].double().numpy(), workers=-1)
+    spacing = np.median(tree.query(tree.data[:: len(own) // 2000 + 1], 2)[0][:, 1])  # 0: most points are copies
     diagonal = float((own.double().amax(0) - own.double().amin(0)).norm())
-    if len(distance) and np.median(distance) > FAR * diagonal:
-        raise ValueError(
-            f"expected vertices near the result's points, got half of them farther than {np.median(distance):.3g} m; "
-            "is the file of another place, or in another frame?"
-        )
+    middle = np.median(distance) if len(distance) else 0
+    told = f"expected vertices near the result's points, got half of them farther than {middle:.3g} m"
+    if middle > FAR * diagonal:
+        raise ValueError(f"{told}; is the file of another place, or in another frame?")
+    if 0 < AWAY * spacing < middle:
+        warnings.warn(f"{told}, whose neighbours are {spacing:.2g} m apart; was the file moved?", stacklevel=3)
     found = torch.full((len(points),), -1)
     found[finite] = torch.from_numpy(index)
     return found
