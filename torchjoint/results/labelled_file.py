@@ -26,7 +26,7 @@ from torchjoint.datasets.files.ply import PlyRecords, parse_records, read_ply, r
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import file_name
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, no_twice
 from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import without_return
@@ -38,7 +38,7 @@ _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 def check_dimension(path: Path, name: str) -> None:
     """Checks that a file does not have a dimension yet."""
     with open_las(path) as reader:
-        if name in set(reader.header.point_format.dimension_names):
+        if name in {*reader.header.point_format.dimension_names, *"xyz"}:
             raise ValueError(f"{path}: expected no dimension {name}, got one; remove it first")
 
 
@@ -151,12 +151,15 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
 
 
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
-    check_dimension(source, name)
+    sure = result.point_confidence
+    names = [name] if sure is None else [name, "confidence"]
+    no_twice(names, "name: dimension")
+    for one in names:
+        check_dimension(source, one)
     points = las.read_las(source).points
     with damage_is(str(source)):
         nearest = nearest_points(result, points)
     columns = {name: torch.cat([result.points, result.points.new_full((1,), -1)])[nearest].int().numpy()}
-    sure = result.point_confidence
     if sure is not None:
         columns["confidence"] = torch.cat([sure, sure.new_zeros(1)])[nearest].float().numpy()
     write_labelled(source, out, columns)
