@@ -332,7 +332,9 @@ def bound_textures() -> None:
 
 
 def check_obj(data: bytes, name: str) -> None:
-    """Checks how long trimesh takes for the materials of an .obj; errors as of :func:`bounds.check`."""
+    """Checks how long trimesh takes for the materials of an .obj, and that its faces count vertices from 1."""
+    if re.search(rb"^ *f (?:.* )?0+(?:[/ ]|$)", data, re.MULTILINE):
+        raise ValueError("expected faces of vertices from 1 on, got 0")
     steps = data.count(b"usemtl") * data.count(b"\nv")
     bounds.check(steps, bounds.MATERIAL_STEPS, "vertices times materials", name)
 
