@@ -51,6 +51,15 @@ def test_help_has_an_example_and_names_values_as_the_text_does(run, capsys, comm
     assert (f"Example: torchjoint {command} " in text) == bool(COMMANDS[command].example)
 
 
+def test_closed_streams(tmp_path):
+    """With `>&- 2>&-` Python has no streams, and files that a program opens would get their numbers."""
+    np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).random((500, 3)))
+    command = [sys.executable, "-c", PROGRAM, "batch", tmp_path / "a.xyz", "-o", tmp_path / "out"]
+    done = subprocess.run(["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *command])
+    assert done.returncode == 0
+    assert (tmp_path / "out" / "a" / "points.ply").is_file()
+
+
 def test_a_wrong_value_is_one_error(run, capsys):
     with pytest.raises(SystemExit):
         run("segment", "a", "--max-frames", "x")

@@ -88,6 +88,23 @@ def test_images_of_replica_are_in_the_order_of_their_numbers(tmp_path):
     assert [round(float(camera_center(frame.world_to_camera)[0])) for frame in frames] == list(range(11))
 
 
+@pytest.mark.parametrize("rest", [b"", bytes(4096), b"\n", bytes(11) + b"\1"])
+def test_points_behind_those_of_a_pcd(rest, tmp_path):
+    head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 2\nHEIGHT 1\nDATA binary\n"
+    (tmp_path / "a.pcd").write_bytes(head.encode() + np.arange(6, dtype=np.float32).tobytes() + rest)
+    is_told = pytest.warns(UserWarning, match=r"a\.pcd: 12 bytes behind the 2 points of its header are not read")
+    with is_told if rest.strip(b"\0\n") else contextlib.nullcontext():
+        assert len(tj.load_scene(tmp_path / "a.pcd").points) == 2
+
+
+def test_arrays_behind_the_first_of_a_npy(tmp_path):
+    with (tmp_path / "a.npy").open("wb") as stream:
+        for count in (9, 4):
+            np.save(stream, np.random.default_rng(0).random((count, 3)))
+    with pytest.raises(ValueError, match=r"a\.npy: .*expected one array, got more behind the first, of shape \[9, 3\]"):
+        tj.load_scene(tmp_path / "a.npy")
+
+
 def test_ros(tmp_path):
     late = ("/camera/image_raw", 3.0, ros.image(3.0, ros.colors(2), "bgr8"))
     bag = ros.record(tmp_path / "late", [*ros.messages(), late])

@@ -257,6 +257,25 @@ def test_the_nearest_point_decides():
         nearest_labels(result, asked + 100)
 
 
+def test_a_file_that_was_moved_is_told():
+    points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
+    result = result_of(points, torch.arange(400))
+    order = torch.randperm(400)
+    assert torch.equal(nearest_labels(result, points[order] + 0.25), order)
+    with pytest.warns(UserWarning, match="farther than 5 m, whose neighbours are 1 m apart; was the file moved"):
+        nearest_labels(result, points + torch.tensor([0.0, 0, 5]))
+
+
+def test_the_property_comes_last_in_any_header(tmp_path):
+    """Its values stand at the end of each row."""
+    file, out = tmp_path / "a.ply", tmp_path / "b.ply"
+    lines = "element vertex 2", "property float x", "obj_info of a scanner", "property float y", " property float z"
+    file.write_text("\n".join(["ply", "format ascii 1.0", *lines, "end_header", "0 0 1", "2 3 4", ""]))
+    label_file(file, out, result_of(read_ply(file).points, torch.tensor([0, 1])))
+    assert torch.equal(read_ply(out).points, read_ply(file).points)
+    assert read_vertex_property(out, "label").tolist() == [0, 1]
+
+
 def test_files_that_cannot_be_labelled(tmp_path, run):
     with pytest.raises(ValueError, match=r"a\.txt: expected a file that ends in \.ply, \.obj"):
         label_file(tmp_path / "a.txt", tmp_path / "b.ply", of_squares())
@@ -367,6 +386,10 @@ class TestSurvey:
             run("label", survey[1], survey[0], "-o", tmp_path / "out.ply")
         with pytest.raises(SystemExit, match="expected no dimension quality, got one; remove it first"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "quality")
+        with pytest.raises(SystemExit, match="expected no dimension x, got one"):
+            run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "x")
+        with pytest.raises(SystemExit, match="name: dimension 'confidence' is there twice"):  # one would be lost
+            run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "confidence")
         assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # laspy's file, as it is deleted

@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.figures import overlay
 from torchjoint.results.folder import write_result
 from torchjoint.results.objects import oriented_box
@@ -239,6 +240,13 @@ class TestExports:
         np.testing.assert_array_equal(cloud["label"], result.points)
         np.testing.assert_allclose(cloud["confidence"], result.point_confidence, atol=1e-6)
         np.testing.assert_allclose(np.array(cloud.green) / 65535, result.scene.colors[:, 1], atol=1e-4)
+
+    def test_las_of_a_large_area(self, tmp_path):
+        laspy = pytest.importorskip("laspy")
+        points = torch.tensor([[-1e5, 0, 0], [2e5, 1, 1]], dtype=torch.float64)
+        with pytest.warns(UserWarning, match=r"rounded to 0\.001 m"):
+            export_las(tmp_path / "a.las", tj.Result.of(tj.Segmentation(torch.arange(2), ()), tj.Scene(points)))
+        np.testing.assert_allclose(laspy.read(tmp_path / "a.las").xyz, points, atol=1e-3)
 
     def test_npz_of_another_level(self, export, result):
         with np.load(export("npz", "--granularity", 0.2)) as arrays:

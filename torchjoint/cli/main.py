@@ -43,6 +43,10 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         description: for `--help`.
         interrupted: the message after Ctrl-C about commands that can be resumed.
     """
+    for stream in ("stdin", "stdout", "stderr"):
+        if getattr(sys, stream) is None:  # closed, as by >&-; the next file to be opened would have its number
+            setattr(sys, stream, nothing := open(os.devnull, "r+"))  # noqa: SIM115
+            os.set_inheritable(nothing.fileno(), True)  # for workers
     if isinstance(sys.stdout, io.TextIOWrapper):  # a name may have letters that the terminal lacks
         sys.stdout.reconfigure(errors="backslashreplace")
     warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {on_terminal(str(message))}\n"

@@ -7,6 +7,7 @@ vertices than the result has points: those that were thinned out, faint splats, 
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
@@ -25,7 +26,7 @@ from torchjoint.datasets.files.ply import PlyRecords, parse_records, read_ply, r
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import file_name
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, no_twice
 from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import without_return
@@ -37,7 +38,7 @@ _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 def check_dimension(path: Path, name: str) -> None:
     """Checks that a file does not have a dimension yet."""
     with open_las(path) as reader:
-        if name in set(reader.header.point_format.dimension_names):
+        if name in {*reader.header.point_format.dimension_names, *"xyz"}:
             raise ValueError(f"{path}: expected no dimension {name}, got one; remove it first")
 
 
@@ -102,6 +103,8 @@ def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> 
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
 FAR = 0.25
+#: If they are farther than so many times the distance between neighbours of the result, it may have moved.
+AWAY = 4
 
 
 def nearest_labels(result: Result, points: Tensor) -> Tensor:
@@ -132,25 +135,31 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
         return torch.arange(len(own))
     from scipy.spatial import cKDTree
 
-    distance, index = cKDTree(own.double().numpy()).query(points[finite].double().numpy(), workers=-1)
+    tree = cKDTree(own.double().numpy())
+    distance, index = tree.query(points[finite].double().numpy(), workers=-1)
+    spacing = np.median(tree.query(tree.data[:: len(own) // 2000 + 1], 2)[0][:, 1])  # 0: most points are copies
     diagonal = float((own.double().amax(0) - own.double().amin(0)).norm())
-    if len(distance) and np.median(distance) > FAR * diagonal:
-        raise ValueError(
-            f"expected vertices near the result's points, got half of them farther than {np.median(distance):.3g} m; "
-            "is the file of another place, or in another frame?"
-        )
+    middle = np.median(distance) if len(distance) else 0
+    told = f"expected vertices near the result's points, got half of them farther than {middle:.3g} m"
+    if middle > FAR * diagonal:
+        raise ValueError(f"{told}; is the file of another place, or in another frame?")
+    if 0 < AWAY * spacing < middle:
+        warnings.warn(f"{told}, whose neighbours are {spacing:.2g} m apart; was the file moved?", stacklevel=3)
     found = torch.full((len(points),), -1)
     found[finite] = torch.from_numpy(index)
     return found
 
 
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
-    check_dimension(source, name)
+    sure = result.point_confidence
+    names = [name] if sure is None else [name, "confidence"]
+    no_twice(names, "name: dimension")
+    for one in names:
+        check_dimension(source, one)
     points = las.read_las(source).points
     with damage_is(str(source)):
         nearest = nearest_points(result, points)
     columns = {name: torch.cat([result.points, result.points.new_full((1,), -1)])[nearest].int().numpy()}
-    sure = result.point_confidence
     if sure is not None:
         columns["confidence"] = torch.cat([sure, sure.new_zeros(1)])[nearest].float().numpy()
     write_labelled(source, out, columns)

@@ -67,6 +67,8 @@ def read_npy(path: Path) -> npt.NDArray[Any]:
         check_header(stream, os.fstat(stream.fileno()).st_size, "array")
         stream.seek(0)
         array: npt.NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+        if stream.read(1):
+            raise ValueError(f"expected one array, got more behind the first, of shape {list(array.shape)}")
         return array
 
 

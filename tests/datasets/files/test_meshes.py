@@ -148,6 +148,27 @@ def test_tabs_of_an_obj(tmp_path):
     assert len(read_cloud_file(path).faces) == len(FACES)
 
 
+def test_an_obj_of_an_old_mac(tmp_path):
+    (tmp_path / "a.obj").write_bytes(b"v 0 0 0\rv 1 0 0\rv 0 1 0\rf 1 2 3\r")
+    assert read_cloud_file(tmp_path / "a.obj").faces.tolist() == [[0, 1, 2]]
+
+
+@pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "1/1 0/1 2/1"])
+def test_faces_that_count_from_0(tmp_path, face):
+    text = f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\nf {face}\n"
+    (tmp_path / "a.obj").write_text(text)
+    with pytest.raises(
+        ValueError, match=r"a\.obj: not a whole \.obj mesh: .*expected faces of vertices from 1 on, got 0"
+    ):
+        read_cloud_file(tmp_path / "a.obj")
+
+
+def test_places_in_a_texture_are_no_colours(tmp_path):
+    """Without a material there is none; trimesh has a grey one for it."""
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    assert read_cloud_file(tmp_path / "a.obj").colors is None
+
+
 @pytest.mark.parametrize("kind", ["white", "plain", "textured"])
 def test_vertices_and_a_material_have_colours(tmp_path, kind):
     """As Blender writes them: the colour is the product."""

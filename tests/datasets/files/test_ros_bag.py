@@ -84,6 +84,15 @@ def test_a_database_of_any_name(name, tmp_path):
     assert Bag(tmp_path / name).first("/text").data == TEXT
 
 
+def test_a_file_that_is_listed_twice(tmp_path):
+    """A short description could list one file 100,000 times, and each of them would be opened."""
+    ros_2(tmp_path / "walk", CompressionMode.NONE, StoragePlugin.MCAP)
+    description = tmp_path / "walk" / "metadata.yaml"
+    description.write_text(description.read_text().replace("  - walk.mcap", "  - walk.mcap\n  - other/walk.mcap"))
+    with pytest.raises(ValueError, match=r"walk: not a whole ROS recording: .*file 'walk\.mcap' is there twice"):
+        Bag(tmp_path / "walk")
+
+
 def of_type(path, text):
     """A recording with a message of a type that it defines."""
     store = get_typestore(Stores.EMPTY)

@@ -165,6 +165,8 @@ class TestIntrinsics:
         frame = tj.load_scene(folder).frames[0]
         assert frame.size == (120, 160)
         assert float(frame.intrinsics[0, 0]) < read(folder)["fl_x"]  # all of a barrel's pixels: a wider view
+        save(folder, read(folder) | {"k1": 0, "p2": 0, "distortion_params": [-0.2, 0, 0, 0, 0, 0.01]})
+        assert torch.equal(tj.load_scene(folder).frames[0].image, frame.image)
 
 
 class TestDepth:

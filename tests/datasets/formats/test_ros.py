@@ -1,16 +1,19 @@
 """ROS recordings: topics found by type, times matched, poses of tf and odometry; ROS 1 and 2 give the same."""
 
+import io
 import warnings
 
 import numpy as np
 import pytest
 import samples
 import torch
+from PIL import Image
 from rosbags.rosbag2 import StoragePlugin
 from samples import ros, ros_points
 from samples._parts import wall
 
 import torchjoint as tj
+from torchjoint.datasets.files.ros_messages import depth_image
 
 
 @pytest.mark.parametrize("name", ["ros", "ros_one"])
@@ -195,3 +198,17 @@ def test_the_cache_knows_the_topics(tmp_path, monkeypatch):
     ]
     assert torch.equal(clouds[0], clouds[2])
     assert float((clouds[0].mean(0) - clouds[1].mean(0)).norm()) > 0.5
+
+
+def test_packed_depth_has_16_bits():
+    """A JPEG of depth has its lower 8 bits, or less."""
+    for kind in (np.uint16, np.uint8):
+        packed = io.BytesIO()
+        Image.fromarray(np.full((4, 5), 200, kind)).save(packed, "PNG")
+        data = np.frombuffer(packed.getvalue(), np.uint8)
+        message = ros.TYPES["sensor_msgs/msg/CompressedImage"](ros.header(0.0, "camera"), "16UC1; png", data)
+        if kind == np.uint16:
+            assert depth_image(message, "depth").unique().tolist() == pytest.approx([0.2])
+        else:
+            with pytest.raises(ValueError, match=r"depth: expected a depth image of one channel, 16 bits, got uint8"):
+                depth_image(message, "depth")

@@ -56,7 +56,7 @@ def read_mesh_file(path: Path) -> CloudFile:
         import trimesh
     data, suffix, parts = read_file(path, "a mesh"), path.suffix.lower(), Parts(path)
     if suffix in (".obj", ".off"):
-        data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ")
+        data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if suffix == ".off" and not _OFF.match(data):
         raise ValueError(f"{path}: expected text that begins with OFF, COFF, NOFF or STOFF, got {data[:20]!r}")
     if suffix == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little") and any(data[133::50]):
@@ -323,13 +323,18 @@ class Parts:
 def bound_textures() -> None:
     """Makes trimesh decode the textures of .obj files with our decoder; those of .gltf are checked before."""
     from trimesh.exchange import obj
+    from trimesh.visual.texture import TextureVisuals
 
     decoder = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", formats=TEXTURES))
     vars(obj)["Image"] = decoder
+    # A part with places in a texture, but without a material, has no colour; trimesh would make it grey.
+    vars(obj)["TextureVisuals"] = lambda uv, material=None: None if material is None else TextureVisuals(uv, material)
 
 
 def check_obj(data: bytes, name: str) -> None:
-    """Checks how long trimesh takes for the materials of an .obj; errors as of :func:`bounds.check`."""
+    """Checks how long trimesh takes for the materials of an .obj, and that its faces count vertices from 1."""
+    if re.search(rb"^ *f (?:.* )?0+(?:[/ ]|$)", data, re.MULTILINE):
+        raise ValueError("expected faces of vertices from 1 on, got 0")
     steps = data.count(b"usemtl") * data.count(b"\nv")
     bounds.check(steps, bounds.MATERIAL_STEPS, "vertices times materials", name)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import struct
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -72,7 +73,7 @@ def read_pcd(path: Path) -> Pcd:
     if header.encoding == "ascii":
         fields = _read_ascii(path, bytes(body), header)
     elif header.encoding == "binary":
-        _check_length(path, header, dtype.itemsize * header.num_points, len(body))
+        _check_length(path, header, dtype.itemsize * header.num_points, body)
         records = np.frombuffer(body, dtype, header.num_points)
         fields = {name: np.ascontiguousarray(records[name]) for name in header.fields}
     else:
@@ -168,7 +169,7 @@ def _read_compressed(path: Path, body: memoryview, header: PcdHeader, expected: 
     compressed, uncompressed = struct.unpack("<II", body[:8])
     if uncompressed != expected:
         raise ValueError(f"{path}: expected {expected} bytes of {header.num_points} points, got {uncompressed}")
-    _check_length(path, header, compressed, len(body) - 8)
+    _check_length(path, header, compressed, body[8:])
     values = decompress(bytes(body[8 : 8 + compressed]), expected, str(path))
     fields, offset = {}, 0
     for name, dtype in header.fields.items():
@@ -179,9 +180,12 @@ def _read_compressed(path: Path, body: memoryview, header: PcdHeader, expected: 
     return fields
 
 
-def _check_length(path: Path, header: PcdHeader, expected: int, got: int) -> None:
-    if got < expected:
-        raise ValueError(f"{path}: truncated: {header.num_points} points take {expected} bytes, got {got}")
+def _check_length(path: Path, header: PcdHeader, expected: int, body: memoryview) -> None:
+    if len(body) < expected:
+        raise ValueError(f"{path}: truncated: {header.num_points} points take {expected} bytes, got {len(body)}")
+    if rest := bytes(body[expected:]).rstrip(b"\0\n"):  # some writers fill a page of memory
+        told = f"{path}: {len(rest)} bytes behind the {header.num_points} points of its header are not read"
+        warnings.warn(told, stacklevel=4)
 
 
 def decompress(data: bytes, size: int, name: str = "data") -> bytearray:

@@ -422,7 +422,7 @@ class PlyRecords(NamedTuple):
             if any(one.name == name for one in of_file.properties):
                 raise ValueError(f"element {element} has a property {name} already; choose another name")
             start = next(i for i, line in enumerate(lines) if line.split()[:2] == [b"element", element.encode()])
-            after = (i for i in range(start + 1, len(lines)) if not lines[i].startswith((b"property", b"comment")))
+            after = (i for i in range(start + 1, len(lines)) if lines[i].split()[:1] in ([b"element"], [b"end_header"]))
             lines.insert(next(after), f"property int {name}".encode() + _end(lines[start]))
             rows = bodies[element]
             if self.header.encoding == "ascii":

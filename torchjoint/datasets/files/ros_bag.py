@@ -20,8 +20,10 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
+import yaml
+
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import has_file, has_folder, present, read_file
+from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, present, read_file
 from torchjoint.runtime.messages import needed_for
 
 #: Suffixes of a recording in one file, and of the files that a ROS 2 recording's folder lists.
@@ -188,7 +190,9 @@ def _check_files(path: Path) -> int:
     """
     if not has_folder(path):
         return present(path, "a ROS recording").stat().st_size
-    read_file(path / "metadata.yaml", "the description of a ROS recording", bounds.YAML_BYTES)
+    text = read_file(path / "metadata.yaml", "the description of a ROS recording", bounds.YAML_BYTES)
+    files = yaml.load(text, yaml.BaseLoader)["rosbag2_bagfile_information"]["relative_file_paths"]
+    no_twice((Path(file).name for file in files), "metadata.yaml: file")  # each is opened as often as it is listed
     return sum(file.stat().st_size for file in path.iterdir() if has_file(file))
 
 

@@ -63,8 +63,8 @@ def depth_image(message: Any, name: str) -> Tensor:
         raw = _pixels(message, np.dtype(kind), 1, name)[..., 0]
     else:
         raise ValueError(f"{name}: expected an encoding of {', '.join(_DEPTHS)}, got {message.encoding!r}")
-    if raw.ndim != 2:
-        raise ValueError(f"{name}: expected a depth image of one channel, got shape {list(raw.shape)}")
+    if raw.ndim != 2 or raw.dtype == np.uint8:
+        raise ValueError(f"{name}: expected a depth image of one channel, 16 bits, got {raw.dtype} {list(raw.shape)}")
     depth = raw.astype(np.float32) * np.float32(unit)
     return torch.from_numpy(np.where(np.isfinite(depth) & (depth > 0) & (raw != 65535), depth, np.float32(0)))
 

@@ -2,8 +2,8 @@
 
 transforms.json          `frames`, each with `file_path` and `transform_matrix`: camera-to-world, 4x4, OpenGL axes (y
                          up, z back). Intrinsics `fl_x fl_y cx cy w h`, or `camera_angle_x`, and distortion `k1 k2 p1 p2
-                         k3` (of a fisheye `k1 k2 k3 k4`) are given per frame, or once for all frames. Pixel centres are
-                         at 1/2.
+                         k3` (of a fisheye `k1 k2 k3 k4`; or `distortion_params`: k1 k2 k3 k4 p1 p2) are given per
+                         frame, or once for all frames. Pixel centres are at 1/2.
 images, anywhere below   8-bit; a `file_path` without suffix means a .png, or else a .jpg
 `depth_file_path`        of a frame (optional): depth along z at any resolution. A 16-bit .png, or a .npy of integers,
                          has units of `depth_unit_scale_factor` metres (default 0.001); a .npy of floating numbers is in
@@ -136,6 +136,11 @@ def _world_to_camera(frame: Record) -> Tensor:
 
 def read_camera(frame: Record, color: Path) -> Camera:
     """Returns the camera of a frame, whose size is that of the image `color` if the frame does not give it."""
+    if "distortion_params" in frame:
+        given = frame.numbers("distortion_params", 6).tolist()
+        frame = Record(
+            {**frame.values, **dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=True))}, frame.name
+        )
     model = frame.text("camera_model", "OPENCV")
     if model not in (*_PERSPECTIVE, _FISHEYE):
         raise ValueError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -28,14 +29,20 @@ def export_ply(folder: Path, result: Result) -> None:
 def export_las(path: Path, result: Result) -> None:
     """Writes a LAS 1.4 file of all points: 16-bit colours, if there are any, and the extra dimension `label` (int32).
 
-    Coordinates are kept to a tenth of a millimetre. A result with a confidence also has it at each point, as the extra
-    dimension `confidence` (float32).
+    Coordinates are kept to a tenth of a millimetre, or, with a warning, to what 32 bits can hold. A result with a
+    confidence also has it at each point, as the extra dimension `confidence` (float32).
     """
     with needed_for("--format las", "laspy", "torchjoint[export]"):
         import laspy
     points = result.scene.points.double().numpy()
     header = laspy.LasHeader(point_format=7 if result.scene.colors is not None else 6, version="1.4")
-    header.offsets, header.scales = np.floor(points.min(0)), np.full(3, 1e-4)
+    # The power of ten with which the longest axis fits into the positive numbers of 32 bits.
+    scale = max(1e-4, 10.0 ** np.ceil(np.log10((np.ptp(points, axis=0).max() + 1) / (2**31 - 1))))
+    if scale > 1e-4:
+        warnings.warn(
+            f"coordinates are rounded to {scale:g} m: LAS has no finer ones for so large a cloud", stacklevel=2
+        )
+    header.offsets, header.scales = np.floor(points.min(0)), np.full(3, scale)
     header.add_extra_dim(laspy.ExtraBytesParams("label", np.int32))
     sure = result.point_confidence
     if sure is not None:
