@@ -45,6 +45,24 @@ def test_of_two_pages_the_later_save_keeps_the_earlier_one_s(out, tmp_path):
         viewer.stop()
 
 
+def test_corrections_are_saved_as_they_are_made(out, tmp_path):
+    folder = shutil.copytree(out, tmp_path / "out")
+    viewer = opened(folder, 8990)
+    count = viewer.model.parts.count
+    viewer._guarded(viewer._change, lambda: viewer.model.set_granularity(0.7))
+    assert not (folder / "edits.json").exists()  # to look at a level corrects nothing
+    viewer.model.select((int(viewer.model.table[0]),))
+    viewer._guarded(viewer._change, lambda: viewer.model.name("sofa"))
+    assert [step.name for step in read_edits(folder, count).steps] == ["sofa"]
+    assert read_edits(folder, count).granularity == 0.7
+    viewer._guarded(viewer._change, viewer.model.undo)
+    assert read_edits(folder, count).steps == ()
+    viewer._can_save = False  # what is shown is not what is in the folder
+    viewer._guarded(viewer._change, lambda: viewer.model.name("lamp"))
+    assert read_edits(folder, count).steps == ()
+    viewer.stop()
+
+
 def test_a_page_that_ends_has_no_thread_at_work(out):
     viewer = opened(out, 8990)
     (worker,) = viewer._workers

@@ -184,7 +184,6 @@ def test_a_click_in_the_image_and_in_the_table(viewer, page, tmp_path):
     wait(lambda: f"segment {other}:" in panel(page))
     page.locator("xpath=//*[text()='Name']/following::input[1]").fill("<b>mug</b>")
     wait(lambda: "<b>mug</b>" in page.inner_text("#tj-table"))  # as text
-    page.get_by_role("button", name="Save corrections").click()
     wait(lambda: (viewer.folder / "edits.json").is_file())
     assert list(tj.load_result(viewer.folder).segment_names.values()) == ["<b>mug</b>"]
     before = sorted(viewer.folder.iterdir())
@@ -301,7 +300,6 @@ def test_clicks_walk_the_tree_and_make_one_thing(viewer, page):
     assert ((red[..., 0] > 120) & (red[..., 1:].max(2) < 80)).any()  # the ball of a click beside the thing
     page.get_by_role("button", name="Make it one thing").click()
     wait(lambda: len(viewer.model.edits.steps) == 1)
-    page.get_by_role("button", name="Save corrections").click()
     wait(lambda: (viewer.folder / "edits.json").is_file())
     corrected = tj.load_result(viewer.folder).points
     np.testing.assert_array_equal(corrected == corrected[points[0]], thing)

@@ -68,10 +68,10 @@ def test_join_split_name_and_undo(model):
     model.select((joined,))
     model.split()
     assert len(np.unique(model.table)) == len(np.unique(start))
-    assert model.undo()
-    assert model.undo()
+    assert model.undo() == "split"
+    assert model.undo() == "name 'table'"
     assert model.names == {}
-    assert model.undo()
+    assert model.undo() == "join"
     np.testing.assert_array_equal(model.table, start)
     assert not model.undo()
     model.select((first,))

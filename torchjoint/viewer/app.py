@@ -201,6 +201,7 @@ class Viewer:
                 return
             try:
                 action(*arguments)
+                self._save_what_was_made()
             except Exception as error:
                 self._say(str(error) or repr(error), "red")
                 if not isinstance(error, (ValueError, OSError, ModuleNotFoundError)):
@@ -292,8 +293,8 @@ class Viewer:
         if action == "Undo":
             if self.model.clicks:
                 self.model.unclick()
-            elif not self.model.undo():
-                self._say("there is nothing to undo", "blue")
+            else:
+                self._say(f"undone: {self.model.undo() or 'nothing is left to undo'}", "blue")
         elif action == "Join":
             self.model.join()
         else:
@@ -310,12 +311,20 @@ class Viewer:
         assert self.folder is not None  # without a folder there is no button
         if not self._can_save:
             raise ValueError("save: expected the parameters of the result on disk, got others")
-        saved = save_edits(self.folder, self.model.edits, self._saved, self.model.parts)
+        self._save(self.folder)
+        self._say(f"saved with this level: {len(self._saved.steps)} corrections, in {self.folder / 'edits.json'}")
+
+    def _save_what_was_made(self) -> None:
+        """Saves each correction as it is made: a closed page or Ctrl-C loses nothing. A level alone is none."""
+        if self.folder is not None and self._can_save and self.model.edits.steps != self._saved.steps:
+            self._save(self.folder)
+
+    def _save(self, folder: Path) -> None:
+        saved = save_edits(folder, self.model.edits, self._saved, self.model.parts)
         if saved.steps != self.model.edits.steps:
             self._say("others have corrected this result, too; their corrections are shown now", "blue")
             self._change(lambda: self.model.take(saved))
         self._saved = saved
-        self._say(f"corrections saved: {len(saved.steps)}, in {self.folder / 'edits.json'}")
 
     def _on_export(self, client: Any) -> None:
         if self.model.selected:

@@ -192,12 +192,13 @@ class Model:
         else:
             self._add(step)
 
-    def undo(self) -> bool:
-        """Undoes the last change, or the last correction of edits.json; returns False if there is nothing to undo."""
+    def undo(self) -> str:
+        """Undoes the last change, or the last correction of edits.json; says which; "": there is nothing to undo."""
         if not self.edits.steps:
-            return False
+            return ""
+        last = self.edits.steps[-1]
         self._edit(replace(self.edits, steps=self._before.pop() if self._before else self.edits.steps[:-1]))
-        return True
+        return {"name": f"name {last.name!r}", "gather": "one thing"}.get(last.kind, last.kind)
 
     def take(self, edits: Edits) -> None:
         """Takes corrections that were saved together with those of others; each of them can be undone."""

@@ -88,7 +88,7 @@ class Panel:
         self.keep = gui.add_button("Make it one thing", visible=False, hint="a segment of its own, at every level")
 
     def _add_buttons(self, gui: Any, can_save: bool, can_export: bool) -> None:
-        self.name = gui.add_text("Name", "", hint="of the selected segment; Save keeps it", visible=can_save)
+        self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_save)
         self.correct = gui.add_button_group(
             "Correct",
             ("Join", "Split", "Undo"),
@@ -101,4 +101,6 @@ class Panel:
             visible=can_export,
             hint="download the points, the masks (ZIP), or the masks as JSON of the selected segments",
         )
-        self.save = gui.add_button("Save corrections", visible=can_save, hint="to edits.json; the labels stay")
+        self.save = gui.add_button(
+            "Save the level", visible=can_save, hint="in edits.json; corrections are saved there as they are made"
+        )
