@@ -1,4 +1,4 @@
-"""Training scenes as another recording would have them: in other light, with fewer points, with noise, without images."""
+"""Training scenes as another recording would have them: other light, fewer points, noise, no images."""
 
 from __future__ import annotations
 
