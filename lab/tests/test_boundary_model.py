@@ -20,6 +20,7 @@ from torchjoint_lab.training import (
 )
 from torchjoint_lab.training.piece_graph_files import PieceGraphFiles, load_evidence, save_evidence
 from torchjoint_lab.training.scene_merging import SceneMerging
+from torchjoint_lab.training.variation import varied
 
 from torchjoint.runtime.files import write_checked
 from torchjoint.scene import Scene, Truth
@@ -164,6 +165,29 @@ def test_members_have_seeds_of_their_own(prepared):
         one, other = first.probability(number, values), second.probability(number, values)
         assert not torch.equal(one, other)
         assert torch.equal(found.probability(number, values), torch.stack([one, other]).mean(0))
+
+
+def test_a_kind_is_judged_by_trees_that_did_not_see_it(monkeypatch):
+    judged = []
+
+    def grown(samples, options):
+        judged.append({int(values[0, 0]) for values, *_ in samples})
+        return boundary_model._constant(0.0)
+
+    monkeypatch.setattr(boundary_model, "_grow", grown)
+    samples = [(torch.full((2, 1), float(number)).numpy(), None, None) for number in range(5)]
+    fold = boundary_model._parts(np.random.default_rng(0), 5, 4, ["room", "desk", "room", "desk", "room"])
+    boundary_model._fit_all(samples, fold, sorted(set(fold.tolist())), QUICK, None)
+    assert sorted(map(sorted, judged)) == [[0, 1, 2, 3, 4], [0, 2, 4], [1, 3]]
+    of_one_kind = boundary_model._parts(np.random.default_rng(0), 5, 4, ["room"] * 5)
+    assert sorted(of_one_kind.tolist()) == [0, 0, 1, 2, 3]
+
+
+def test_a_varied_scene_may_be_a_cloud_alone(scene_of):
+    scene = scene_of(0).scene
+    alone = [len(varied(scene, str(key), 0.5).frames) == 0 for key in range(20)]
+    assert 5 <= sum(alone) <= 15
+    assert all(len(varied(scene, str(key), 0.0).frames) == len(scene.frames) for key in range(3))
 
 
 def test_training_without_images_and_colours(scene_of):

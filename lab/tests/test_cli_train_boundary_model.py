@@ -49,7 +49,7 @@ def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run_lab, capsys, mon
 
 def test_evidence_of_other_scenes_is_deleted(tmp_path):
     def folder(*keys):
-        return command._folder(tmp_path / "a.npz", [command._Source(key, key, lambda: None) for key in keys], [0.5])
+        return command._folder(tmp_path / "a.npz", [command._Source(key, "", key, lambda: None) for key in keys], [0.5])
 
     (folder("a", "b") / "scene-0-00000.pt").touch()
     assert (folder("a", "b") / "scene-0-00000.pt").exists()

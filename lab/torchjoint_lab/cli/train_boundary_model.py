@@ -6,6 +6,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -26,6 +27,7 @@ class _Source(NamedTuple):
     """A scene that is made or read when it is needed."""
 
     name: str
+    kind: str  # the domain; "" for scenes of one's own
     key: str  # tells it from others, and from an earlier version of itself
     load: Callable[[], Scene]
 
@@ -57,11 +59,12 @@ def train_boundary_model(
         models: folder of 3D models for the generated scenes, as for `make_domain_scene`.
         thin: keep one point of your own scenes in each voxel of this size, metres.
         varied: the probability that points of a scene are moved, added or left out, and the same for its colours: other
-            light, noise, grey. Each number gives MEMBERS models, so that some know your kind of recordings best, and
-            others know worse ones.
+            light, noise, grey; and that it has no frames. Each number gives MEMBERS models, so that some know your kind
+            of recordings best, and others know worse ones.
         max_frames: use at most so many frames of each of your own scenes, evenly spread.
         trees: number of trees in each round of merging of each member.
-        folds: parts of the scenes; each is judged by trees that were trained on the others.
+        folds: parts of the scenes, if they are of one domain, or all your own; else each domain is a part. Each part is
+            judged by trees that were trained on the others.
         members: number of models of each number of VARIED, trained with seeds from SEED on: five err less than one.
         seed: of all random choices; the same seed makes the same file.
         overwrite: replace OUT if it exists.
@@ -82,7 +85,8 @@ def train_boundary_model(
     begin = time.perf_counter()
     folder = _folder(out, sources, varied)
     prepared = [_prepare(folder, sources, place, share) for place, share in enumerate(varied)]
-    trained = [training.fit_boundary_model(one, options, report=_print_scores, progress=True) for one in prepared]
+    fit = partial(training.fit_boundary_model, kinds=[one.kind for one in sources], report=_print_scores, progress=True)
+    trained = [fit(one, options) for one in prepared]
     model = BoundaryModel(tuple(member for one in trained for member in one.members))
     with made.written() as path:
         training.save_boundary_model(path, model)
@@ -110,6 +114,7 @@ def _own(paths: Sequence[Path], thin: float | None, max_frames: int | None) -> l
     return [
         _Source(
             name,
+            "",
             f"{path.absolute()} {path.stat().st_mtime_ns} {thin} {max_frames}",
             lambda path=path: load(path),  # type: ignore[misc]
         )
@@ -129,6 +134,7 @@ def _generated(domains: Sequence[str], seeds: Sequence[int], models: Path | None
     return [
         _Source(
             f"{domain} {seed}",
+            domain,
             f"{domain} {seed} {None if models is None else models.absolute()}",
             lambda domain=domain, seed=seed: make_domain_scene(domain, seed, models=models).scene,  # type: ignore[misc]
         )

@@ -1,7 +1,8 @@
 """Trains the model of step 6, method learned: is there a border between two neighbouring regions?
 
 Each round of merging has its own boosted trees. Trees judge the regions that the round before made of scenes that it
-was not trained on, so that the next round learns from such errors as it will meet.
+was not trained on, so that the next round learns from such errors as it will meet. If it was not trained on any scene
+of this kind, its probabilities also mean on other kinds what they say.
 """
 
 from __future__ import annotations
@@ -60,6 +61,7 @@ def train_boundary_model(
     options: BoundaryModelOptions | None = None,
     *,
     config: Config | None = None,
+    kinds: Sequence[str] | None = None,
     report: Callable[[RoundScores], None] | None = None,
     progress: bool = False,
 ) -> BoundaryModel:
@@ -69,6 +71,8 @@ def train_boundary_model(
         scenes: at least two, with ``truth.points``; each is needed only once, and not kept.
         options: equal scenes and options make equal models with any number of threads.
         config: parameters of the steps 1-5.
+        kinds: the kind of each scene. If there are several, each is a part that is judged by trees which did not see
+            it; else the parts are random (`options.folds`).
         report: called after each round of each member.
         progress: show progress bars.
 
@@ -81,7 +85,7 @@ def train_boundary_model(
     prepared = [
         labelled_evidence(scene, config) for scene in tqdm(scenes, desc="evidence", unit="scene", disable=not progress)
     ]
-    return fit_boundary_model(prepared, options, report=report, progress=progress)
+    return fit_boundary_model(prepared, options, kinds=kinds, report=report, progress=progress)
 
 
 @torch.no_grad()
@@ -89,6 +93,7 @@ def fit_boundary_model(
     scenes: Sequence[LabelledEvidence],
     options: BoundaryModelOptions | None = None,
     *,
+    kinds: Sequence[str] | None = None,
     report: Callable[[RoundScores], None] | None = None,
     progress: bool = False,
 ) -> BoundaryModel:
@@ -98,6 +103,7 @@ def fit_boundary_model(
         scenes: at least two; the sequence may be lazy, since few scenes are used at a time, each once in each round of
             each member.
         options: of the training.
+        kinds: as there.
         report: called after each round of each member.
         progress: show progress bars.
     """
@@ -105,19 +111,22 @@ def fit_boundary_model(
     options = options or BoundaryModelOptions()
     if len(scenes) < 2:
         raise ValueError(f"scenes: expected at least two, got {len(scenes)}")
+    if kinds is not None and len(kinds) != len(scenes):
+        raise ValueError(f"kinds: expected one for each of {len(scenes)} scenes, got {len(kinds)}")
     seeds = range(options.seed, options.seed + options.members)
-    members = [_fit_member(scenes, replace(options, seed=seed), report, progress) for seed in seeds]
+    members = [_fit_member(scenes, replace(options, seed=seed), kinds, report, progress) for seed in seeds]
     return BoundaryModel(tuple(members))
 
 
 def _fit_member(
     scenes: Sequence[LabelledEvidence],
     options: BoundaryModelOptions,
+    kinds: Sequence[str] | None,
     report: Callable[[RoundScores], None] | None,
     progress: bool,
 ) -> MemberModel:
     rng = np.random.default_rng(options.seed)
-    fold = rng.permutation(len(scenes)) % options.folds
+    fold = _parts(rng, len(scenes), options.folds, kinds)
     parts = sorted(set(fold.tolist()))
     runs = [SceneMerging(scene, variant) for scene in range(len(scenes)) for variant in range(options.variants)]
     of_run = fold[[run.scene for run in runs]]
@@ -145,6 +154,14 @@ def _fit_member(
         if report is not None:
             report(_scores(threshold, probability[known], is_border[known], weight[known]))
     return MemberModel(options.thresholds, FEATURE_NAMES, tuple(rounds), tuple(calibrations))
+
+
+def _parts(rng: np.random.Generator, count: int, folds: int, kinds: Sequence[str] | None) -> NDArray[np.int64]:
+    """The part of each scene: its kind, if there are several."""
+    fold: NDArray[np.int64] = rng.permutation(count) % folds
+    if kinds is not None and len(set(kinds)) > 1:
+        fold = np.unique(np.asarray(kinds), return_inverse=True)[1]
+    return fold
 
 
 def _check_packages() -> None:
