@@ -36,6 +36,7 @@ from torchjoint.datasets.formats import (
     scannet,
     scannetpp,
     tum,
+    vggt,
     ycb_video,
 )
 from torchjoint.datasets.recording import Options
@@ -59,6 +60,6 @@ FORMATS: dict[str, Format] = {
     module.__name__.rpartition(".")[2]: cast(Format, module)
     for module in (
         folder, scannet, tum, nerfstudio, colmap, kitti, nuscenes, lidar_image, organized_pcd, bop, ycb_video,
-        posed_images, replica, arkitscenes, record3d, polycam, scannetpp, s3dis, ros, cloud_alone,
+        posed_images, replica, arkitscenes, record3d, polycam, scannetpp, s3dis, vggt, ros, cloud_alone,
     )
 }  # fmt: skip

@@ -1,0 +1,53 @@
+"""VGGT's predictions: lengths in metres, depth of little confidence, names, and errors."""
+
+import numpy as np
+import pytest
+import samples
+import torch
+
+import torchjoint as tj
+
+
+def changed(path, **arrays):
+    file = path / "predictions.npz"
+    with np.load(file) as before:
+        kept = dict(before)
+    np.savez(file, **{name: value for name, value in (kept | arrays).items() if value is not None})
+    return path
+
+
+def test_lengths_are_those_of_a_median_depth_of_two_metres(tmp_path, caplog):
+    path = samples.write("vggt", tmp_path / "a")
+    scene = tj.load_scene(path)
+    assert "has no metres; its lengths times 4," in caplog.text
+    for index, frame in enumerate(scene.frames):
+        center = -frame.world_to_camera[:3, :3].T @ frame.world_to_camera[:3, 3]
+        torch.testing.assert_close(center, torch.tensor([0.1 * index, 0, 0]).double(), atol=1e-6, rtol=0)
+        assert not frame.depth[:3].any()  # of little confidence
+        assert frame.depth[3:].unique().tolist() == [2.0]
+        assert frame.name == f"frame-{index:06d}"
+    assert float((scene.points[:, 1] - 2).abs().max()) < 0.05
+    assert len(tj.load_scene(path / "predictions.npz").points) == len(scene.points)
+
+
+def test_frames_have_the_names_of_the_images(tmp_path):
+    path = samples.write("vggt", tmp_path / "a")
+    for name in ("left.jpg", "right.png"):
+        (path / "images").mkdir(exist_ok=True)
+        (path / "images" / name).touch()
+    assert [frame.name for frame in tj.load_scene(path).frames] == ["left", "right"]
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"depth": None}, r"expected an array 'depth', \[S H W 1\], got none"),
+        ({"depth": np.ones((2, 12, 15, 1))}, r"depth: expected \[S H W 1\] floats \(S = 2, H = 12, W = 16\), got"),
+        ({"images": np.ones((2, 3, 12, 16), int)}, r"images: expected \[S 3 H W\] floats"),
+        ({"depth": np.full((2, 12, 16, 1), np.nan)}, "depth: expected numbers > 0, got none"),
+        ({"extrinsic": np.ones((2, 3, 4))}, "extrinsic 0"),
+    ],
+)
+def test_errors(tmp_path, arrays, message):
+    with pytest.raises(ValueError, match=message):
+        list(tj.load_scene(changed(samples.write("vggt", tmp_path / "a"), **arrays)).frames)

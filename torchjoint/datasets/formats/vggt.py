@@ -1,0 +1,96 @@
+"""Reads what the demo of VGGT writes (J. Wang et al., CVPR 2025): cameras and depth that a network made of images.
+
+predictions.npz, of S images of one size:
+    images      [S, 3, H, W] RGB in [0, 1]
+    extrinsic   [S, 3, 4] world-to-camera, OpenCV axes
+    intrinsic   [S, 3, 3] pixels
+    depth       [S, H, W, 1], without a unit
+    depth_conf  [S, H, W], the confidence in it
+images/         beside it, optional: the names of the frames
+
+The network knows no metres. All lengths are multiplied by one number, so that the median depth is DISTANCE.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from torchjoint.datasets.recording import Options, scene_of_frames
+from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.runtime.threads import LazySequence
+from torchjoint.scene import Frame, Scene
+from torchjoint.scene.checks import as_intrinsics, as_pose
+
+logger = logging.getLogger(__name__)
+
+FILE = "predictions.npz"
+WHAT = f"{FILE}, which the demo of VGGT writes"
+#: The arrays that are read, with their shapes.
+_SHAPES = {
+    "images": "S 3 H W", "extrinsic": "S 3 4", "intrinsic": "S 3 3", "depth": "S H W 1", "depth_conf": "S H W"
+}  # fmt: skip
+#: Metres, the median depth.
+DISTANCE = 2.0
+#: This share of the pixels of all images is left out: those whose depth has the least confidence, as in VGGT's viewer.
+UNSURE = 0.25
+
+
+def recognizes(path: Path) -> bool:
+    """Returns whether `path` is the file, or its folder."""
+    return has_file(path / FILE) if has_folder(path) else path.name == FILE and has_file(path)
+
+
+def load(path: Path, options: Options) -> Scene:
+    """Loads the file; see :func:`torchjoint.load_scene`."""
+    file = path if path.name == FILE and has_file(path) else path / FILE
+    arrays = _read(file)
+    depth = arrays["depth"][..., 0].astype(np.float32)
+    sure = arrays["depth_conf"] >= np.quantile(arrays["depth_conf"], UNSURE)
+    depth = np.where(sure & np.isfinite(depth) & (depth > 0), depth, 0)
+    if not depth.any():
+        raise ValueError(f"{file}: depth: expected numbers > 0, got none")
+    scale = DISTANCE / float(np.median(depth[depth > 0]))
+    logger.warning("%s: has no metres; its lengths times %.4g, so that the median depth is %g m", file, scale, DISTANCE)
+    names = _names(file.parent / "images", len(depth))
+
+    def frame(index: int) -> Frame:
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[:3] = torch.from_numpy(arrays["extrinsic"][index].astype(np.float64))
+        pose[:3, 3] *= scale
+        return Frame(
+            torch.from_numpy(arrays["images"][index].astype(np.float32)),
+            as_intrinsics(torch.from_numpy(arrays["intrinsic"][index]), f"{file}: intrinsic {index}"),
+            as_pose(pose, f"{file}: extrinsic {index}"),
+            depth=torch.from_numpy(depth[index] * np.float32(scale)),
+            name=names[index],
+        )
+
+    return scene_of_frames(file.parent, LazySequence(len(depth), frame, names), options)
+
+
+def _read(file: Path) -> dict[str, NDArray[np.floating]]:
+    arrays = read_archive(file, _SHAPES)
+    sizes: dict[str, int] = {}
+    for name, shape in _SHAPES.items():
+        if name not in arrays:
+            raise ValueError(f"{file}: expected an array {name!r}, [{shape}], got none")
+        array, sides = arrays[name], shape.split()
+        fits = array.ndim == len(sides) and array.size > 0 and np.issubdtype(array.dtype, np.floating)
+        for side, length in zip(sides, array.shape, strict=False):
+            fits &= length == (int(side) if side.isdecimal() else sizes.setdefault(side, length))
+        if not fits:
+            known = ", ".join(f"{side} = {length}" for side, length in sizes.items())
+            raise ValueError(f"{file}: {name}: expected [{shape}] floats ({known}), got {array.dtype} {array.shape}")
+    return arrays
+
+
+def _names(folder: Path, count: int) -> list[str]:
+    """The names of the images, if they are there and as many as expected; else numbers."""
+    found = sorted(one.stem for one in folder.iterdir() if one.is_file()) if has_folder(folder) else []
+    return found if len(set(found)) == count else [f"frame-{index:06d}" for index in range(count)]
