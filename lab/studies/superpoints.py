@@ -43,7 +43,7 @@ POINTS = (400, 200, 100)
 STEP, MOST = 2.5, 10
 #: Neighbours in graphs, and points of the smallest superpoint where this is not the method's own.
 NEIGHBORS, LEAST = 10, 20
-#: Weights of colours, places and normals, and rounds, of the clusters; the weights are those of VCCS in PCL.
+#: Weights of colours, places and normals, and rounds, of the clusters; the weights are those of VCCS in PCL's example.
 CLUSTER_WEIGHTS, ROUNDS = (0.2, 0.4, 1.0), 10
 CUT = "cut pursuit, pgeof's features"
 #: The page with a short table, and its rows.
@@ -100,11 +100,10 @@ class Run(NamedTuple):
 
 
 class Method(NamedTuple):
-    """Labels [N] and seconds of a cloud by its parameter of size; where to begin, and whether more gives fewer."""
+    """Labels [N] and seconds of a cloud by its parameter of size, of which more gives fewer; and where to begin."""
 
     run: Callable[[Sample, float], tuple[Tensor, float]]
     first: float
-    fewer: bool = True
 
 
 def timed(labels: Callable[[Sample, float], Tensor]) -> Callable[[Sample, float], tuple[Tensor, float]]:
@@ -246,8 +245,7 @@ def sweep(sample: Sample, method: Method) -> list[Run]:
     few, many = len(sample.points) / POINTS[0], len(sample.points) / POINTS[-1]
     method.run(sample, method.first)  # warms up
     runs = [judge(sample, method, method.first)]
-    for goal, is_past in ((few, lambda run: run.number <= few), (many, lambda run: run.number >= many)):
-        step = STEP if (goal == few) == method.fewer else 1 / STEP
+    for step, is_past in ((STEP, lambda run: run.number <= few), (1 / STEP, lambda run: run.number >= many)):
         last = runs[0]
         for _ in range(MOST):
             if is_past(last):
