@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+import torchjoint as tj
 from torchjoint.datasets.files.ply import read_vertex_property, write_cloud
 
 ROOT = Path(__file__).parents[1]
@@ -21,8 +22,10 @@ def program(name, language="python", page="superpoints.md"):
     return re.search(rf"<!-- {name} -->\n```{language}\n(.*?)```", text, flags=re.DOTALL)[1]
 
 
-def execute(name):
-    exec(compile(program(name), "superpoints.md", "exec"), {})
+def execute(name, **given):
+    """The names that a program of the page leaves, which begins with those that are given."""
+    exec(compile(program(name), "superpoints.md", "exec"), given)
+    return given
 
 
 @pytest.fixture(params=[300, pytest.param(100_000, marks=pytest.mark.slow)])
@@ -77,7 +80,7 @@ def test_superpoints_in_larger_files(labels):
     torch.save(whole[:3], f"scannetv2/test/{SCENE}_inst_nostuff.pth")
     before = rng.random((len(labels), 12)).astype(np.float32)
     np.save("processed/scannet/validation/0000_00.npy", before)
-    execute("superpoints in larger files")
+    execute("superpoint files")
     xyz, rgb, superpoint, semantic, instance = torch.load(f"scannetv2/val/{SCENE}_inst_nostuff.pth", weights_only=False)
     for got, expected in zip((xyz, rgb, semantic, instance), (*whole[:2], *whole[3:]), strict=True):
         assert np.array_equal(got, expected)
@@ -88,6 +91,49 @@ def test_superpoints_in_larger_files(labels):
     assert after.dtype == np.float32
     assert np.array_equal(after[:, 9].astype(np.int64), labels)
     assert np.array_equal(np.delete(after, 9, axis=1), np.delete(before, 9, axis=1))
+
+
+def bumpy(count, seed):
+    points = torch.rand(count, 3, generator=torch.Generator().manual_seed(seed))
+    points[:, 2] = (2 * points[:, 0]).round() * 0.2
+    return points
+
+
+def test_training_with_superpoints_on_disk(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    Path("clouds").mkdir()
+    for number in range(3):
+        points = bumpy(300 + number, number)
+        write_cloud(Path(f"clouds/{number}.ply"), points, points.clamp(0, 1))
+    found = execute("training", __name__="training")
+    for _ in range(2):  # the second time from the disk
+        sizes = []
+        for batch in found["loader"]:
+            assert batch["offset"].tolist() == batch["ptr"][1:].tolist()
+            sizes += batch["ptr"].diff().tolist()
+        assert sorted(sizes) == [300, 301, 302]
+        assert len(list(Path("kept").iterdir())) == 3
+    samples = [found["loader"].dataset[number] for number in (0, 2)]
+    batch = found["collate"](samples)
+    read = [tj.datasets.load_cloud(f"clouds/{number}.ply") for number in (0, 2)]
+    together = tj.superpoints(batch["points"], torch.cat([one.colors for one in read]), ptr=batch["ptr"])
+    assert torch.equal(batch["superpoints"], together)
+
+
+def test_superpoints_in_pointcept(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    scene = Path("data/scannet/train/scene0000_00")
+    scene.mkdir(parents=True)
+    coord, color = bumpy(300, 0).numpy(), (255 * bumpy(300, 0)).numpy()
+    np.save(scene / "coord.npy", coord)
+    np.save(scene / "color.npy", color)
+    execute("for Pointcept", Path=Path, tj=tj)
+    labels = torch.from_numpy(np.load(scene / "superpoint.npy"))
+    assert torch.equal(labels, tj.superpoints(torch.from_numpy(coord), torch.from_numpy(color).to(torch.uint8)))
+    few = labels[::7]  # a sample has gaps in its numbers
+    given = {"superpoint": torch.cat([few, few]), "offset": torch.tensor([len(few), 2 * len(few)])}
+    both = execute("in Pointcept", torch=torch, **given)["superpoint"]
+    assert torch.equal(both, batched([few.numpy(), few.numpy()]))
 
 
 @pytest.mark.skipif(shutil.which("sed") is None, reason="no sed")

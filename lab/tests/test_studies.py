@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from dataclasses import replace
 from importlib import import_module
@@ -127,6 +128,30 @@ def test_live_scores_and_lasting_ids(study, tmp_path, monkeypatch, capsys):
     assert [row[1] for row in rows] == ["0%", "10%"]
     assert all(0 < float(value) <= 1 for row in rows for value in row[2].split(" / "))
     assert len(list(tmp_path.glob("*.json"))) == 4
+
+
+def test_superpoints_are_compared_at_equal_numbers(study):
+    superpoints = study("superpoints")
+    runs = [superpoints.Run(4.0, 10, 0.4, 0.2, 0.8, 1.0), superpoints.Run(1.0, 40, 0.8, 0.1, 0.9, 2.0)]
+    assert superpoints.at(runs, 20) == pytest.approx([0.6, 0.15, 0.85, 1.5])
+    assert all(map(math.isnan, superpoints.at(runs, 5)))
+
+
+@pytest.mark.slow  # that they start is tested above
+def test_superpoints_of_all_methods_but_cut_pursuit(study, tmp_path, monkeypatch, capsys):
+    superpoints, scene = study("superpoints"), make_domain_scene("desk", 3, num_views=2).scene
+    monkeypatch.setattr(superpoints, "find_scenes", lambda *_: [NamedScene("room", "room-3", lambda: scene)])
+    for _ in range(2):  # the second time from the disk
+        run(superpoints, monkeypatch, tmp_path)
+        lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+        rows = {row[0]: row[1:] for row in (line.strip("| ").split(" | ") for line in lines[2:])}
+        assert list(rows) == list(superpoints.methods(None))
+        for cells in rows.values():
+            recall, error, accuracy = map(float, cells[2].split(" / "))
+            assert recall > 0.3
+            assert error < 0.5
+            assert accuracy > 0.7
+    assert len(json.loads((tmp_path / "room-3.json").read_text())) == len(rows) + 2
 
 
 def test_an_id_lasts_if_the_thing_had_it_since_it_was_whole(study):

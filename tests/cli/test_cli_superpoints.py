@@ -108,6 +108,32 @@ def test_a_mesh(tmp_path, run):
     assert np.load(tmp_path / "out.npy").tolist() == expected.tolist()
 
 
+@pytest.mark.filterwarnings("ignore:.*are NaN or infinite; they are left out")
+def test_a_mesh_keeps_its_triangles(tmp_path, run):
+    grid = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1)) / 10
+    corner = torch.cartesian_prod(torch.arange(19), torch.arange(19)) @ torch.tensor([20, 1])
+    faces = torch.cat([torch.stack([corner, corner + 20, corner + one], 1) for one in (1, 21)])
+    write_cloud(tmp_path / "mesh.ply", grid, faces=faces)
+    for name in ("a.ply", "a.npz"):
+        run("superpoints", tmp_path / "mesh.ply", "-o", tmp_path / name, "--no-picture")
+        read = tj.datasets.load_cloud(tmp_path / name)
+        assert torch.equal(read.points, grid)
+        assert torch.equal(read.faces, faces)
+    broken = grid.clone()
+    broken[[0, 57]] = float("nan")
+    write_cloud(tmp_path / "broken.ply", broken, faces=faces)
+    whole = faces[~torch.isin(faces, torch.tensor([0, 57])).any(1)]
+    left = tj.datasets.load_cloud(tmp_path / "broken.ply", drop_invalid=True)
+    with pytest.raises(ValueError, match=r"broken\.ply: 2 of 400 points are NaN or infinite"):
+        tj.datasets.load_cloud(tmp_path / "broken.ply")
+    run("superpoints", tmp_path / "broken.ply", "-o", tmp_path / "b.ply", "--no-picture", "--drop-invalid")
+    for read in (left, tj.datasets.load_cloud(tmp_path / "b.ply")):
+        assert torch.equal(read.points[read.faces], grid[whole])
+    labels = tj.superpoints(left.points, faces=left.faces, preset="segmentator")
+    given = tj.superpoints(broken, faces=faces, preset="segmentator", drop_invalid=True)
+    assert torch.equal(labels, given[given >= 0])
+
+
 def test_nothing_is_overwritten(tmp_path, run):
     cloud = write(tmp_path / "cloud.npz")
     (tmp_path / "out.png").write_text("precious")

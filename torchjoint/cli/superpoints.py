@@ -44,9 +44,10 @@ def superpoints(
         cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes), .xyz, .txt, .asc, .csv, .pts, .las, .laz or
             .e57 file, or a folder of .las and .laz files. Preset segmentator uses the triangles of a .ply mesh.
         out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply has the points, a colour
-            for each superpoint, and a property `label`. A .npy has the labels, int64. A .npz has the arrays points,
-            labels and colors. A .las or .laz has all data of the cloud's file, and a dimension `superpoint`; it is the
-            default for .las and .laz clouds, and not possible for others. For a folder of clouds, OUT is a folder.
+            for each superpoint, a property `label`, and the triangles of a mesh. A .npy has the labels, int64. A .npz
+            has the arrays points, labels, and, if there are any, colors and faces. A .las or .laz has all data of the
+            cloud's file, and a dimension `superpoint`; it is the default for .las and .laz clouds, and not possible for
+            others. For a folder of clouds, OUT is a folder.
         preset: default, scan or segmentator, or a YAML file of your own.
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
         viewpoint: x y z of the sensor, metres; normals then point outward, so that convex and concave edges differ.
@@ -106,11 +107,10 @@ def superpoints(
         drop_invalid=drop_invalid,
         preset=config,
     )
-    valid = of_rows >= 0
-    colors, normals = (None if of is None else of[valid] for of in (read.colors, read.normals))
-    scene, labels = Scene(read.points[valid], colors=colors, normals=normals), of_rows[valid]
+    kept, labels = read.chosen(of_rows >= 0), of_rows[of_rows >= 0]
+    scene = Scene(kept.points, colors=kept.colors, normals=kept.normals)
     with made.written() as path:
-        _write(path, scene, labels, of_rows)
+        _write(path, scene, labels, of_rows, kept.faces)
     say(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
     if pictured is not None:
         with pictured.written() as path:
@@ -118,19 +118,16 @@ def superpoints(
         say(png)
 
 
-def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor) -> None:
+def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor, faces: Tensor | None) -> None:
     from torchjoint.results.render import label_colors
 
     if out.suffix == ".ply":
-        write_cloud(out, scene.points, label_colors(labels), labels)
-        return
-    arrays = {"points": scene.points.numpy(), "labels": labels.numpy()}
-    if scene.colors is not None:
-        arrays["colors"] = scene.colors.numpy()
-    if out.suffix == ".npy":
+        write_cloud(out, scene.points, label_colors(labels), labels, faces)
+    elif out.suffix == ".npy":
         np.save(out, of_rows.numpy())
     else:
-        np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
+        arrays = {"points": scene.points, "labels": labels, "colors": scene.colors, "faces": faces}
+        np.savez_compressed(out, **{name: of.numpy() for name, of in arrays.items() if of is not None})  # type: ignore[arg-type]
 
 
 def _write_picture(png: Path, scene: Scene, labels: Tensor) -> None:

@@ -18,13 +18,12 @@ class SuperpointsConfig(Stage):
         10, "neighbours of a point in the graph; more bridges gaps and takes longer", low=1, high=200, sensible="8-30"
     )
     normal_neighbors: int = parameter(
-        30, "neighbours to which a point's normal is fitted; more suits noisy clouds, but rounds edges", low=2,
-        high=500, sensible="12-80",
+        30, "neighbours of a normal's fit; more suits noise, but rounds edges", low=2, high=500, sensible="12-80",
     )  # fmt: skip
     reach: float = parameter(
-        0.0, "if all neighbours of a point are closer than this, search them among half, a quarter or an eighth of the "
-        "points instead, so that edges connect neighbouring LiDAR beams; more connects sparser scans and loses detail; "
-        "0: always the nearest neighbours", unit="m", low=0, sensible="0 for depth cameras, 0.3-0.7 for LiDAR",
+        0.0, "if all neighbours of a point are closer, search them among half, a quarter or an eighth of the points, "
+        "so that edges connect LiDAR beams; more connects sparser scans and loses detail; 0: never",
+        unit="m", low=0, sensible="0 for depth cameras, 0.3-0.7 for LiDAR",
     )  # fmt: skip
     weight: str = parameter(
         "angle", "how the surface's turn along an edge is measured: angle (between the two normals), or segmentator "
@@ -42,20 +41,18 @@ class SuperpointsConfig(Stage):
         sensible="0.03-1",
     )
     distance_weight: float = parameter(
-        0.0, "weight of the distance between two points; more separates sparse parts of the cloud from dense ones",
+        0.0, "weight of the distance of two points; more separates sparse parts from dense ones",
         unit="1/m", low=0, sensible="0-10",
     )  # fmt: skip
     color_weight: float = parameter(
-        0.4, "weight of the RGB distance between two points, if the cloud has colours; more cuts at colour changes",
+        0.4, "weight of the RGB distance of two points, if there are colours; more cuts at colour changes",
         low=0, sensible="0-1",
     )  # fmt: skip
     scale: float = parameter(
-        1.0, "k of Felzenszwalb-Huttenlocher; more gives larger superpoints", unit="weight x points", low=0,
+        1.0, "k of Felzenszwalb-Huttenlocher; more: larger superpoints", unit="weight x points", low=0,
         sensible="0.1-5",
     )  # fmt: skip
-    min_size: int = parameter(
-        20, "smallest superpoint; smaller superpoints are joined to a neighbour", unit="points", low=0
-    )
+    min_size: int = parameter(20, "smaller superpoints join a neighbour", unit="points", low=0)
 
     @classmethod
     def from_preset(cls, name: str) -> SuperpointsConfig:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
+from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.formats import FORMATS, Format
 from torchjoint.datasets.recording import Options
 from torchjoint.runtime.foreign_files import has_file, has_folder, is_there, or_unreadable
 from torchjoint.runtime.threads import on_cpu
-from torchjoint.scene import Scene
+from torchjoint.scene import Cloud, Scene
+from torchjoint.scene.checks import Invalid
 
-__all__ = ["list_scenes", "load_scene"]
+__all__ = ["list_scenes", "load_cloud", "load_scene"]
 
 
 @on_cpu()
@@ -62,18 +65,8 @@ def load_scene(
         raise ValueError(f"time_limit: expected more than 0 seconds, got {time_limit}")
     if not 0 <= least_opacity <= 1:
         raise ValueError(f"least_opacity: expected a number in [0, 1], got {least_opacity}")
-    options = Options(
-        None if cloud is None else Path(cloud),
-        voxel_size,
-        progress,
-        dict(topics or {}),
-        time_limit,
-        "drop" if drop_invalid else "refuse",
-        least_opacity,
-        fuse,
-        format,
-        path,
-    )
+    file, roles, invalid = None if cloud is None else Path(cloud), dict(topics or {}), _invalid(drop_invalid)
+    options = Options(file, voxel_size, progress, roles, time_limit, invalid, least_opacity, fuse, format, path)
     if format is not None and format not in FORMATS:
         raise ValueError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
     for module in FORMATS.values() if format is None else [FORMATS[format]]:
@@ -83,6 +76,31 @@ def load_scene(
         raise ValueError(f"scene: {path} is not of format {format}, which needs {FORMATS[format].WHAT}")
     some = ", ".join(str(one) for one in list(list_scenes(path).values())[:3])
     raise ValueError(f"scene: {path} is a data set; choose one of its scenes, such as {some}")
+
+
+@on_cpu()
+def load_cloud(path: str | Path, *, drop_invalid: bool = False) -> Cloud:
+    """Loads the points of a single file as they are, with its colours, normals and triangles, if it has any.
+
+    This is for superpoints of a mesh:
+
+    >>> mesh = load_cloud("mesh.ply")  # doctest: +SKIP
+    >>> labels = tj.superpoints(mesh.points, mesh.colors, faces=mesh.faces)  # doctest: +SKIP
+
+    Args:
+        path: a cloud or a mesh alone; docs/your_data.md lists the types of files.
+        drop_invalid: leave out the points that are NaN or infinite, and their triangles, with a warning; else they are
+            an error.
+
+    Raises:
+        FileNotFoundError, ValueError: the message names the file and its error.
+    """
+    read = read_cloud_file(Path(path), invalid=_invalid(drop_invalid))
+    return replace(Cloud.checked(read.points, read.colors, read.normals), faces=read.faces)
+
+
+def _invalid(drop: bool) -> Invalid:
+    return "drop" if drop else "refuse"
 
 
 def list_scenes(path: str | Path) -> dict[str, Path]:

@@ -22,7 +22,7 @@ from torch import Tensor
 from torchjoint.datasets.files import las, meshes
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import las_chunks, las_library, open_las
-from torchjoint.datasets.files.ply import PlyRecords, parse_records, read_ply, read_records, write_bytes, write_cloud
+from torchjoint.datasets.files.ply import PlyRecords, read_ply, read_records, write_bytes, write_cloud
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import file_name
@@ -221,7 +221,7 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
     folder.mkdir()
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
-        parts = read_records(source) if source.suffix.lower() == ".ply" else _vertices(mesh)
+        parts = read_records(source) if source.suffix.lower() == ".ply" else _records(mesh)
         for segment in of_vertex[of_vertex >= 0].unique().tolist():
             which, triangles = of_vertex == segment, None
             if mesh.faces is not None:
@@ -244,15 +244,13 @@ def _stem(segment: int, result: Result) -> str:
 
 
 def _write_mesh(out: Path, mesh: CloudFile, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
-    every = np.ones(len(mesh.points), dtype=np.bool_)
-    whole = _vertices(mesh).some_vertices(every, None if mesh.faces is None else mesh.faces.numpy())
     labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
-    write_bytes(out, parse_records(whole).with_labels(name, labels))
+    write_bytes(out, _records(mesh).with_labels(name, labels))
 
 
-def _vertices(mesh: CloudFile) -> PlyRecords:
+def _records(mesh: CloudFile) -> PlyRecords:
     with tempfile.TemporaryDirectory() as temporary:
-        write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors)
+        write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors, faces=mesh.faces)
         return read_records(Path(temporary) / "mesh.ply")
 
 

@@ -58,7 +58,7 @@ def read_cloud_file(
         path: of the file.
         columns: numbers in a row of a .bin file, if other than above. Or a letter for each number in a row of a .bin,
             .npy, .xyz or .txt file: x y z, r g b, nnn (a normal); others are left out: "xyzrgbl".
-        invalid: what becomes of points that are NaN or infinite; a mesh with such points loses its triangles. "keep"
+        invalid: what becomes of points that are NaN or infinite; a mesh loses the triangles of such points. "keep"
             keeps beams without return, too: many points at (0, 0, 0), which are left out otherwise, with a warning.
         least_opacity: fainter Gaussian splats are left out, with a warning.
 

@@ -59,12 +59,13 @@ class CloudFile(NamedTuple):
     opacities: Tensor | None = None  #: [N] float32 in [0, 1], of Gaussian splats
 
     def chosen(self, which: Tensor) -> CloudFile:
-        """The points that a mask [N] chooses; without faces, if some are missing."""
+        """The points that a mask [N] chooses, and the triangles between them."""
         if bool(which.all()):
             return self
-        parts = (None if one is None else one[which] for one in (self.colors, self.normals, self.opacities))
-        colors, normals, opacities = parts
-        return CloudFile(self.points[which], colors, normals, None, opacities)
+        parts = [None if one is None else one[which] for one in self._replace(faces=None)]
+        if self.faces is not None:
+            parts[3] = (which.cumsum(0) - 1)[self.faces[which[self.faces].all(1)]]
+        return CloudFile(*parts)  # type: ignore[arg-type]
 
 
 def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:

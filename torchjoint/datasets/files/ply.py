@@ -116,7 +116,9 @@ def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
     return values.astype(np.int64)
 
 
-def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None) -> None:
+def write_cloud(
+    path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None, faces: Tensor | None = None
+) -> None:
     """Writes a binary PLY atomically: equal arguments give equal bytes.
 
     Args:
@@ -124,6 +126,7 @@ def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels
         points: [N, 3], as float, or double if they are float64.
         colors: [N, 3] in [0, 1], as uchar red green blue.
         labels: [N] integers, as int label.
+        faces: [F, 3] triangles of the points.
     """
     kind = torch.float64 if points.dtype == torch.float64 else torch.float32
     columns = dict(zip("xyz", points.to(kind).T, strict=True))
@@ -136,7 +139,15 @@ def write_cloud(path: Path, points: Tensor, colors: Tensor | None = None, labels
         rows[name] = column.numpy()
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
     lines += [f"property {_WORDS[rows.dtype[name].str[1:]]} {name}" for name in columns]
-    write_bytes(path, ("\n".join([*lines, "end_header"]) + "\n").encode() + rows.tobytes())
+    more, body = ([], b"") if faces is None else _triangles(faces.numpy(), "<")
+    write_bytes(path, ("\n".join([*lines, *more, "end_header"]) + "\n").encode() + rows.tobytes() + body)
+
+
+def _triangles(corners: Array, byte_order: str) -> tuple[list[str], bytes]:
+    """The lines and the bytes of an element of triangles [F, 3]."""
+    faces = np.empty(len(corners), [("size", "u1"), ("corner", f"{byte_order}i4", (3,))])
+    faces["size"], faces["corner"] = 3, corners
+    return [f"element face {len(faces)}", "property list uchar int vertex_indices"], faces.tobytes()
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -442,10 +453,8 @@ class PlyRecords(NamedTuple):
         if triangles is not None:
             if self.header.encoding == "ascii":
                 raise ValueError("expected a binary file, for parts of a mesh, got an ascii one")
-            faces = np.empty(len(triangles), [("size", "u1"), ("corner", f"{self.header.byte_order}i4", (3,))])
-            faces["size"], faces["corner"] = 3, triangles
-            lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-            bodies.append(faces.tobytes())
+            more, body = _triangles(triangles, self.header.byte_order)
+            lines, bodies = lines + more, [*bodies, body]
         head = b"".join(self.head[:end]) + "".join(f"{line}\n" for line in [*lines, "end_header"]).encode()
         return head + b"".join(bodies)
 
@@ -453,16 +462,12 @@ class PlyRecords(NamedTuple):
 def read_records(path: Path) -> PlyRecords:
     """Reads a file's records."""
     with damage_is(str(path)):
-        return parse_records(read_file(path, "a .ply"))
-
-
-def parse_records(data: bytes) -> PlyRecords:
-    """Reads the records of a file's bytes."""
-    header = parse_header(data)
-    if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
-        raise ValueError("expected vertices without lists as first element")
-    records, rest = (_records_of_lines if header.encoding == "ascii" else _records_of_bytes)(data, header)
-    return PlyRecords(_lines(data[: header.size]), header, records, rest)
+        data = read_file(path, "a .ply")
+        header = parse_header(data)
+        if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
+            raise ValueError("expected vertices without lists as first element")
+        records, rest = (_records_of_lines if header.encoding == "ascii" else _records_of_bytes)(data, header)
+        return PlyRecords(_lines(data[: header.size]), header, records, rest)
 
 
 def _records_of_bytes(data: bytes, header: Header) -> tuple[dict[str, Array], bytes]:
