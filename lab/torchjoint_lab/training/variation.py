@@ -21,16 +21,14 @@ OF_COLORS = (
 def varied(scene: Scene, key: str, share: float) -> Scene:
     """The scene with one disturbance of its points, one of its colours, both, or none; perhaps without its frames.
 
-    A cloud alone has normals whose sides nobody knows, so that what is convex cannot be told from what is hollow. Half
-    of the clouds alone have no colours.
+    A cloud alone has normals whose sides nobody knows, so that what is convex cannot be told from what is hollow.
 
     Args:
         scene: with ``truth.points``.
         key: decides what happens: equal keys, equal scenes.
         share: the probability of each of the two disturbances, and that of having no frames.
     """
-    digest = hashlib.sha256(key.encode()).digest()
-    generator = torch.Generator().manual_seed(int.from_bytes(digest[:7]))
+    generator = torch.Generator().manual_seed(int.from_bytes(hashlib.sha256(key.encode()).digest()[:7]))
     for names in (OF_POINTS, OF_COLORS):
         happens, which = torch.rand(2, generator=generator).tolist()
         disturbance = DISTURBANCES[names[int(which * len(names))]]
@@ -40,6 +38,5 @@ def varied(scene: Scene, key: str, share: float) -> Scene:
             disturbed = disturbance(scene, generator)
             instance = scene.truth.points[disturbed.original.clamp(min=0)].masked_fill(disturbed.original < 0, -1)
             scene = replace(disturbed.scene, truth=Truth(instance))
-    if float(torch.rand(1, generator=generator)) >= share:
-        return scene
-    return replace(scene, frames=(), colors=None if digest[7] % 2 else scene.colors)
+    is_alone = float(torch.rand(1, generator=generator)) < share
+    return replace(scene, frames=()) if is_alone else scene
