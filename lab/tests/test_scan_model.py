@@ -73,6 +73,7 @@ def test_equal_examples_make_equal_models():
     assert float(first[wide].min()) > float(first[~wide].max()) or ((first > 0.5) == wide).float().mean() > 0.9
 
 
+@pytest.mark.slow
 def test_the_command(quick, tmp_path):
     train_scan_model(tmp_path, tmp_path / "scan", (0, 1))
     assert sorted(path.name for path in (tmp_path / "scan").iterdir()) == list(NAMES)

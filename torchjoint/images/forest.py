@@ -237,7 +237,9 @@ class StructuredForestBoundary(nn.Module):
         """The forest's votes [H, W] for each of the images [3, H, W] of one size, detected at another size."""
         height, width = images[0].shape[1:]
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
-        planes = torch.empty(len(images), 3, *(2 * MARGIN + side + -side % 4 for side in reversed(size)))
+        planes = torch.empty(
+            len(images), 3, *(2 * MARGIN + side + -side % 4 for side in reversed(size)), dtype=torch.float32
+        )
 
         def pad(index: int) -> None:
             for plane, out in zip(images[index], planes[index].numpy(), strict=True):
