@@ -74,6 +74,7 @@ def test_smoothing_zero_is_the_identity_and_keeps_constants_else():
     image = torch.full((1, 3, 9, 8), 0.25)
     assert smooth(image, 0) is image
     torch.testing.assert_close(smooth(image, 2.0), image)
+    assert torch.equal(smooth(image.clone().requires_grad_(), 2.0), smooth(image, 2.0))
 
 
 class TestGradientBoundary:

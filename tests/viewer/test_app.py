@@ -45,7 +45,9 @@ def test_of_two_pages_the_later_save_keeps_the_earlier_one_s(out, tmp_path):
         viewer.stop()
 
 
-def test_corrections_are_saved_as_they_are_made(out, tmp_path):
+def test_corrections_are_saved_as_they_are_made(out, tmp_path, monkeypatch):
+    from torchjoint.viewer import app
+
     folder = shutil.copytree(out, tmp_path / "out")
     viewer = opened(folder, 8990)
     count = viewer.model.parts.count
@@ -57,9 +59,18 @@ def test_corrections_are_saved_as_they_are_made(out, tmp_path):
     assert read_edits(folder, count).granularity == 0.7
     viewer._guarded(viewer._change, viewer.model.undo)
     assert read_edits(folder, count).steps == ()
+    told, saved = [], app.save_edits
+    monkeypatch.setattr(viewer, "_say", lambda text, color="green": told.append(text))
+    monkeypatch.setattr(app, "save_edits", lambda *_: (_ for _ in ()).throw(PermissionError("read-only")))
+    viewer._guarded(viewer._change, lambda: viewer.model.name("chair"))
+    viewer._guarded(lambda: None)  # such as a movement of the camera
+    assert told == ["read-only"]
+    monkeypatch.setattr(app, "save_edits", saved)
+    viewer._guarded(viewer._change, lambda: viewer.model.name("stool"))
+    assert [step.name for step in read_edits(folder, count).steps] == ["stool"]
     viewer._can_save = False  # what is shown is not what is in the folder
     viewer._guarded(viewer._change, lambda: viewer.model.name("lamp"))
-    assert read_edits(folder, count).steps == ()
+    assert [step.name for step in read_edits(folder, count).steps] == ["stool"]
     viewer.stop()
 
 

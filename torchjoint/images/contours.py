@@ -10,14 +10,14 @@ from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 
 
 def smooth(images: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur of images [B, C, H, W] with replicated image borders; `sigma` in pixels, 0 = none."""
+    """Gaussian blur of images [B, C, H, W], without gradient, borders replicated; `sigma` in pixels, 0 = none."""
     import cv2  # its blur takes a seventh of the time of kornia's, which is a general convolution
 
     if sigma == 0 or images.numel() == 0:
         return images
     size = 2 * max(1, round(3 * sigma)) + 1
     smoothed = torch.empty(images.shape, dtype=images.dtype)
-    for plane, out in zip(images.flatten(0, 1).numpy(), smoothed.flatten(0, 1).numpy(), strict=True):
+    for plane, out in zip(images.detach().flatten(0, 1).numpy(), smoothed.flatten(0, 1).numpy(), strict=True):
         cv2.GaussianBlur(plane, (size, size), sigma, dst=out, borderType=cv2.BORDER_REPLICATE)
     return smoothed
 

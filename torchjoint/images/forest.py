@@ -284,7 +284,7 @@ def relative_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def padded(image: NDArray[Any], out: NDArray[Any] | None = None) -> NDArray[Any]:
-    """The image [H, W, ...] with mirrored margins; its sides are multiples of 4, as in OpenCV."""
+    """The image [H, W, ...] with mirrored margins, in `out` or new; its sides are multiples of 4, as in OpenCV."""
     import cv2
 
     height, width = image.shape[:2]

@@ -63,6 +63,7 @@ class Viewer:
         self.model = Model(result, self._saved, upward)
         self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save, self._has_stopped = "points", True, False
+        self._made = self._saved.steps  # the corrections after the last action
         self._workers: list[threading.Thread] = []
         _at_end(weakref.WeakMethod(self._end_work))
         self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
@@ -315,8 +316,12 @@ class Viewer:
         self._say(f"saved with this level: {len(self._saved.steps)} corrections, in {self.folder / 'edits.json'}")
 
     def _save_what_was_made(self) -> None:
-        """Saves each correction as it is made: a closed page or Ctrl-C loses nothing. A level alone is none."""
-        if self.folder is not None and self._can_save and self.model.edits.steps != self._saved.steps:
+        """Saves each correction as it is made: a closed page or Ctrl-C loses nothing. A level alone is none.
+
+        What cannot be saved, as in a folder of others, is told once, not with each movement of the camera.
+        """
+        before, self._made = self._made, self.model.edits.steps
+        if self.folder is not None and self._can_save and self._made not in (self._saved.steps, before):
             self._save(self.folder)
 
     def _save(self, folder: Path) -> None:
