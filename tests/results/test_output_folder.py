@@ -205,6 +205,16 @@ def test_corrections_by_hand_are_not_overwritten(tmp_path):
     assert (out / "edits.json").read_text() == "by hand"
 
 
+@pytest.mark.parametrize("name", ["notes.txt", "mine/chair.ply", "images.zip"])
+def test_what_a_user_put_into_a_result_is_not_overwritten(tmp_path, name):
+    out = tmp_path / "out"
+    assert run(out)
+    write(out, {name: "mine", ".hidden": "of the system"})
+    with pytest.raises(FileExistsError, match=rf"{name.split('/')[0]}: is of no result of torchjoint; move or delete"):
+        run(out, overwrite=True, key="other")
+    assert (out / name).read_text() == "mine"
+
+
 def test_what_appears_while_a_run_works_stays(tmp_path):
     """Also an earlier result, which would be replaced if it had been there at the start."""
     out = tmp_path / "out"
@@ -260,7 +270,7 @@ def test_planted_markers_delete_nothing(tmp_path, markers, overwrite):
         planted[name] = f'{text}["key", [["", 0, 0]]]'
     write(tmp_path / "photos.partial", planted)
     before = content(tmp_path)
-    with pytest.raises(FileExistsError, match=r"photos(: exists already|\.partial: expected the folder of an earlier)"):
+    with pytest.raises(FileExistsError, match=r"photos(: exists already|/wedding.jpg: is of no result|\.partial: expected the folder of an earlier)"):
         run(photos, overwrite=overwrite)
     assert content(tmp_path) == before
 

@@ -18,10 +18,12 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
 from torchjoint.results.edits import FILE as EDITS
+from torchjoint.results.folder import PARTS
 from torchjoint.runtime.files import no_link
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.outputs import (
@@ -110,7 +112,8 @@ def output_folder(
         source: describes the input of the result; a partial result of another source is deleted.
         key: describes input and parameters. If an earlier run with this key was killed after its last file, its result
             becomes `out`. Then nothing is left to do, and None is yielded.
-        overwrite: replace an earlier result; only a result (an empty folder, or one with a run.yaml) is replaced.
+        overwrite: replace an earlier result; only a result is replaced: an empty folder, or one with a run.yaml and nothing else than
+            a result has.
         inputs: what the run reads; `out` must not contain it.
     """
     check_no_input(out, inputs)
@@ -207,5 +210,8 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
         raise FileExistsError(f"{out / EDITS}: has corrections by hand; move or delete it, then start again")
     if len(places.seen()) > 1 and not (out / "run.yaml").is_file():
         raise FileExistsError(f"{out}: expected a result of torchjoint, which has a run.yaml; it is not overwritten")
+    for name in sorted({name for name, _, _ in places.seen() if name and not name.startswith(".")}):
+        if not any(fnmatch(name, part) for part in (*PARTS, COMPLETE)):
+            raise FileExistsError(f"{out / name}: is of no result of torchjoint; move or delete it, then start again")
     if places.inside and not os.access(out, os.W_OK | os.X_OK):
         raise PermissionError(f"{out}: is read-only")

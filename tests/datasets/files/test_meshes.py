@@ -135,6 +135,12 @@ def test_colours_of_an_off(tmp_path, head, before, counts):
         read_cloud_file(path)
 
 
+def test_an_off_with_more_faces_than_it_tells(tmp_path):
+    (tmp_path / "a.off").write_text("OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n3 1 2 3\n")
+    with pytest.raises(ValueError, match="expected 1 rows of faces, as its head tells, got 2"):
+        read_cloud_file(tmp_path / "a.off")
+
+
 @pytest.mark.parametrize("head", [b"4OFF", b"OFF BINARY", b"3 1 0"])
 def test_other_kinds_of_off(tmp_path, head):
     (tmp_path / "a.off").write_bytes(head + b"\n3 0 0\n0 0 0 2\n1 0 0 2\n0 1 0 2\n")

@@ -182,6 +182,8 @@ def _colors_of_off(data: bytes, count: int, name: str) -> Tensor | None:
     head = lines[0][0].upper()
     first = 1 if lines[0][1:] or head[-3:] != b"OFF" else 2  # the counts may stand behind the word OFF
     rows, faces = lines[first : first + count], lines[first + count :]
+    if len(faces) > (told := int(lines[first - 1][-2])):  # trimesh drops them; edges have no rows
+        raise ValueError(f"{name}: expected {told} rows of faces, as its head tells, got {len(faces)}")
     if any(len(face) > int(face[0]) + 1 for face in faces):
         warnings.warn(f"{name}: colours of faces are not read; those of vertices (COFF) are", stacklevel=4)
     width = min(map(len, rows), default=0)
