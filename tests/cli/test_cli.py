@@ -1,6 +1,7 @@
 """The command line, end to end: files that open in other people's tools, nothing overwritten or half written."""
 
 import errno
+import os
 import shutil
 from concurrent.futures.process import BrokenProcessPool
 
@@ -115,8 +116,11 @@ def test_overwrite(recording, run, tmp_path):
         run("segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
     assert (folder / "thesis.tex").read_text() == "precious"
     (folder / "run.yaml").write_text("an earlier result")
+    with pytest.raises(SystemExit, match=r"thesis\.tex: is of no result of torchjoint; move or delete it"):
+        run("segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
+    os.rename(folder / "thesis.tex", folder / "points.ply")
     run("segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
-    assert not (folder / "thesis.tex").exists()
+    assert (folder / "points.ply").read_bytes() != b"precious"
     assert len(list((folder / "images").iterdir())) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["twice"]
 
