@@ -270,7 +270,10 @@ def test_planted_markers_delete_nothing(tmp_path, markers, overwrite):
         planted[name] = f'{text}["key", [["", 0, 0]]]'
     write(tmp_path / "photos.partial", planted)
     before = content(tmp_path)
-    with pytest.raises(FileExistsError, match=r"photos(: exists already|/wedding.jpg: is of no result|\.partial: expected the folder of an earlier)"):
+    with pytest.raises(
+        FileExistsError,
+        match=r"photos(: exists already|/wedding.jpg: is of no result|\.partial: expected the folder of an earlier)",
+    ):
         run(photos, overwrite=overwrite)
     assert content(tmp_path) == before
 

@@ -19,13 +19,12 @@ OF_COLORS = (
     "light-0.1", "light-0.25", "light-0.5", "light-2", "gamma-0.5", "gamma-2", "warm", "cold", "exposure", "grey",
     "color-noise", "black",
 )  # fmt: skip
-#: Of a cloud alone: the largest side of its voxels and height of its lumps, in units of the spacing; neighbours of a lump.
+#: Of a cloud alone: the largest side of its voxels and height of its lumps, in units of the spacing.
 #: With 1.5 and 1.5 the roughness, bends and thickness of generated rooms are as those of real ones (3RScan).
 LARGEST_VOXEL = 2.0
 LARGEST_LUMP = 2.0
-LUMP_NEIGHBORS = 16
-#: So many times the lumps are blurred.
-BLURS = 2
+#: A lump is as wide as this many neighbours, so many times blurred.
+LUMP_NEIGHBORS, BLURS = 16, 2
 
 
 def varied(scene: Scene, key: str, share: float) -> Scene:
