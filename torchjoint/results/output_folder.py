@@ -112,8 +112,8 @@ def output_folder(
         source: describes the input of the result; a partial result of another source is deleted.
         key: describes input and parameters. If an earlier run with this key was killed after its last file, its result
             becomes `out`. Then nothing is left to do, and None is yielded.
-        overwrite: replace an earlier result; only a result is replaced: an empty folder, or one with a run.yaml and with
-            nothing else than a result has.
+        overwrite: replace an earlier result; only a result is replaced: an empty folder, or one with a run.yaml and
+            nothing else than results have.
         inputs: what the run reads; `out` must not contain it.
     """
     check_no_input(out, inputs)
