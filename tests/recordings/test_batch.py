@@ -171,6 +171,8 @@ class TestScenes:
         assert list(find_recordings(scans / "notes.txt")) == ["a", "c"]
         assert list(find_recordings(f"{scans}/*")) == ["a", "b", "c"]  # not notes.txt
         assert list(find_recordings([f"{scans}/*", scans / "a"])) == ["a", "b", "c"]
+        (tmp_path / "cloud.txt").write_text("0.5, 1e-3 -2 255\n")
+        assert find_recordings(tmp_path / "cloud.txt") == {"cloud": tmp_path / "cloud.txt"}
 
     def test_names(self, scans, tmp_path):
         (tmp_path / "more").mkdir()

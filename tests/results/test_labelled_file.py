@@ -308,7 +308,8 @@ class TestSurvey:
         assert [one.string for one in after.vlrs.get("WktCoordinateSystemVlr")] == [WKT]
         loaded = tj.load_result(result)
         assert np.array_equal(after[name], loaded.points.numpy())
-        assert np.allclose(after["confidence"], loaded.point_confidence.numpy())
+        sure = "confidence" if name == "label" else f"{name}_confidence"
+        assert np.allclose(after[sure], loaded.point_confidence.numpy())
 
     @pytest.mark.parametrize("suffix", [".las", ".laz"])
     def test_label(self, survey, run, tmp_path, suffix):
@@ -374,6 +375,12 @@ class TestSurvey:
         assert "quality" not in set(cloud.point_format.dimension_names)
         assert np.allclose(cloud.xyz, result.scene.points.numpy(), atol=1e-3)
 
+    def test_labels_of_several_names(self, survey, run, tmp_path):
+        run("label", survey[1], survey[0], "-o", tmp_path / "once.laz")
+        run("label", survey[1], tmp_path / "once.laz", "-o", tmp_path / "twice.laz", "--name", "thing")
+        for name in ("label", "thing"):
+            self.check(survey[0], tmp_path / "twice.laz", survey[1], name)
+
     def test_the_survey_stays(self, survey, run):
         before = survey[0].read_bytes()
         for command in (["export", survey[1], "--format", "las", "--overwrite", "-o"], ["show", survey[1], "--static"]):
@@ -388,8 +395,6 @@ class TestSurvey:
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "quality")
         with pytest.raises(SystemExit, match="expected no dimension x, got one"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "x")
-        with pytest.raises(SystemExit, match="name: dimension 'confidence' is there twice"):  # one would be lost
-            run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "confidence")
         assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # laspy's file, as it is deleted

@@ -32,9 +32,9 @@ def label(
         file: a .ply, .las, .laz, .obj, .glb, .gltf, .off or .stl in the frame of RESULT; mostly the file that was
             segmented. .las and .laz need `pip install 'torchjoint[las]'`, meshes `'torchjoint[mesh]'`.
         out: .ply: FILE with labels of its vertices and triangles; all else in a .ply stays, to the byte. .las, .laz:
-            FILE with the dimensions `label` and `confidence`; coordinate system and all else stay. .glb: the mesh in
-            the colours of the segments, one node for each. A folder: a .ply for each segment, with all properties
-            of FILE's vertices.
+            FILE with the dimensions `label` and `confidence`, or NAME and NAME_confidence; all else stays. .glb: the
+            mesh in the colours of the segments, one node for each. A folder: a .ply for each segment, with all
+            properties of FILE's vertices.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); not with method paper.
         name: of the property of the labels in a .ply, or of the dimension in a .las.
         overwrite: replace OUT; a folder must hold nothing but .ply files.

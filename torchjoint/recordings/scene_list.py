@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import re
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -24,6 +25,7 @@ def find_recordings(scenes: str | Path | Iterable[str | Path]) -> dict[str, Path
         scenes: one or several of: a recording; the folder of a data set, for all its scenes; a pattern such as
             ``scans/*`` (``**`` matches folders at any depth; matching files that are no recordings are ignored); a
             ``.txt`` or ``.list`` file with one of these per line, relative to the file. ``#`` begins a comment line.
+            A file whose first line is the coordinates of a point is a cloud.
 
     Returns:
         paths by names. If two recordings have the same name, all names begin with the names of parent folders. Paths
@@ -41,7 +43,7 @@ def find_recordings(scenes: str | Path | Iterable[str | Path]) -> dict[str, Path
 
 def _expanded(scene: str | Path, lists: tuple[Path, ...] = ()) -> list[Path]:
     path = Path(scene)
-    if path.suffix.lower() in LISTS and has_file(path):
+    if path.suffix.lower() in LISTS and has_file(path) and not _is_cloud(path):
         if (own := path.resolve()) in lists:
             raise ValueError(f"scenes: expected a list of recordings, got {path}, which names itself")
         return [found for line in _lines(path) for found in _expanded(path.parent / line, (*lists, own))]
@@ -53,6 +55,16 @@ def _expanded(scene: str | Path, lists: tuple[Path, ...] = ()) -> list[Path]:
             raise ValueError(f"scenes: {scene} matches no recording")
         return recordings
     return _scenes(path)
+
+
+def _is_cloud(path: Path) -> bool:
+    """Whether a file of text begins with the coordinates of a point."""
+    with path.open("rb") as file:
+        words = re.split(rb"[\s,;]+", file.readline(1000).strip())
+    try:
+        return len([float(word) for word in words]) >= len("xyz")
+    except ValueError:
+        return False
 
 
 def _lines(path: Path) -> list[str]:

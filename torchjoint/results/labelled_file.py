@@ -152,7 +152,8 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
 
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
     sure = result.point_confidence
-    names = [name] if sure is None else [name, "confidence"]
+    sureness = "confidence" if name == "label" else f"{name}_confidence"  # a file may be labelled more than once
+    names = [name] if sure is None else [name, sureness]
     no_twice(names, "name: dimension")
     for one in names:
         check_dimension(source, one)
@@ -161,7 +162,7 @@ def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
         nearest = nearest_points(result, points)
     columns = {name: torch.cat([result.points, result.points.new_full((1,), -1)])[nearest].int().numpy()}
     if sure is not None:
-        columns["confidence"] = torch.cat([sure, sure.new_zeros(1)])[nearest].float().numpy()
+        columns[sureness] = torch.cat([sure, sure.new_zeros(1)])[nearest].float().numpy()
     write_labelled(source, out, columns)
 
 
@@ -173,8 +174,9 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
       have the property if all are triangles.
     * Another mesh as OUT.ply has positions, colours, triangles and labels.
     * OUT.glb is the mesh in the colours of the segments, with a node for each, which has the segment's name.
-    * A .las or .laz as OUT.las or OUT.laz is the same file, with the dimension `name` (int32), and `confidence`
-      (float32), if the result has one. Coordinate system, records and all other dimensions stay.
+    * A .las or .laz as OUT.las or OUT.laz is the same file, with the dimension `name` (int32), and
+      `NAME_confidence` (float32; of `label` just `confidence`), if the result has one. Coordinate system, records
+      and all other dimensions stay.
 
     Args:
         source: a .ply, .obj, .glb, .gltf, .off, .stl, .las or .laz file in the frame of the result's cloud.
