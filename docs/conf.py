@@ -5,6 +5,7 @@ The source folder is the checkout, so that links between documents are the same 
 
 import importlib
 import re
+from pathlib import Path
 
 from torchjoint import __version__
 
@@ -12,11 +13,19 @@ project = "torchjoint"
 author = "the torchjoint authors"
 copyright = f"2026, {author}"
 release = version = __version__
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
+]
 extensions.append("sphinx_copybutton")
 root_doc = "docs/index"
 include_patterns = [
     "docs/*.md",
+    "docs/reference/*.rst",  # which autosummary writes
     "notebooks/*.ipynb",
     "benchmarks/README.md",
     "lab/README.md",
@@ -32,12 +41,18 @@ exclude_patterns = [".*", "build", "configs", "dist", "out*", "tests", "torchjoi
 html_theme = "furo"
 html_title = f"torchjoint {release}"
 html_extra_path = ["extra"]  # index.html, which leads to docs/index.html
-templates_path: list[str] = []
+templates_path = [str(Path(__file__).with_name("_templates"))]
 
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 4  # the anchors that links between documents use
 nb_execution_mode = "off"  # notebooks are committed with their outputs; CI runs them on their own
 
+autosummary_imported_members = True
+autosummary_ignore_module_all = False
+# Names that torchjoint has of its modules have their page there.
+modules = ("scene", "config", "datasets", "masks", "metrics", "ops", "recordings", "synthetic", "transforms")
+names = [name for module in modules for name in importlib.import_module(f"torchjoint.{module}").__all__]
+autosummary_context = {"elsewhere": [*modules, *names]}
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
