@@ -17,16 +17,19 @@ import torch
 from matplotlib import pyplot as plt
 from torchjoint_lab.benchmark.real_scenes import find_real_scenes
 from torchjoint_lab.synthetic import make_domain_scene
-from torchjoint_lab.training.variation import lumpy
 
 from torchjoint import JointSegmenter
+from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors
 from torchjoint.scene import Scene
+from torchjoint.scene.scene import voxel_subsample
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.segments.learned.pieces import build_piece_graph
 
 #: Generated scenes, of seeds that no training has.
 KINDS, SEEDS = ("room", "kitchen"), (50, 51)
 QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
+#: Lumps of a surface: side of the voxels and height, in units of the spacing; as wide as so many neighbours, blurred.
+VOXEL, HEIGHT, NEIGHBORS, BLURS = 1.0, 1.0, 16, 2
 #: Features in the picture.
 SHOWN = 12
 PICTURE = Path(__file__).with_name("real_boundaries.png")
@@ -47,7 +50,7 @@ def main() -> None:
     of = {
         "real rooms (3RScan)": features([replace(one.load().scene, frames=()) for one in rooms]),
         "generated": features(alone),
-        "generated, lumpy": features([lumpy(scene, torch.Generator().manual_seed(0)) for scene in alone]),
+        "generated, lumpy": features([lumpy(scene) for scene in alone]),
     }
     real, *others = of.values()
     far = [differences(real, other) for other in others]
@@ -57,6 +60,17 @@ def main() -> None:
     print(f"| mean of all {np.isfinite(far[0]).sum()} | {np.nanmean(far[0]):.2f} | {np.nanmean(far[1]):.2f} |")
     if options.write:
         draw({name: quantiles(values)[:, worst] for name, values in of.items()}, [FEATURE_NAMES[i] for i in worst])
+
+
+def lumpy(scene: Scene) -> Scene:
+    """A cloud with one point in each voxel, whose surfaces rise and fall, as those of clothes, bags and heaps."""
+    spacing = float(nearest_neighbors(scene.points, SPACING_NEIGHBORS).spacing.median())
+    scene = scene.select_points(voxel_subsample(scene.points, VOXEL * spacing))
+    near = nearest_neighbors(scene.points, NEIGHBORS)
+    lumps = torch.randn(scene.points.shape, generator=torch.Generator().manual_seed(0))
+    for _ in range(BLURS):
+        lumps = (lumps + lumps[near.indices].sum(1)) / (NEIGHBORS + 1)
+    return replace(scene, points=scene.points + HEIGHT * lumps / lumps.std() * near.spacing[:, None])
 
 
 def features(scenes: Sequence[Scene]) -> Array:

@@ -17,13 +17,11 @@ from torchjoint_lab.training import (
     fit_boundary_model,
     labelled_evidence,
     save_boundary_model,
-    variation,
 )
 from torchjoint_lab.training.piece_graph_files import PieceGraphFiles, load_evidence, save_evidence
 from torchjoint_lab.training.scene_merging import SceneMerging
-from torchjoint_lab.training.variation import lumpy, varied
+from torchjoint_lab.training.variation import varied
 
-from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.runtime.files import write_checked
 from torchjoint.scene import Scene, Truth
 from torchjoint.segments.learned.agglomeration import build_hierarchy
@@ -190,21 +188,6 @@ def test_a_varied_scene_may_be_a_cloud_alone(scene_of):
     alone = [len(varied(scene, str(key), 0.5).frames) == 0 for key in range(20)]
     assert 5 <= sum(alone) <= 15
     assert all(len(varied(scene, str(key), 0.0).frames) == len(scene.frames) for key in range(3))
-
-
-def test_a_lumpy_cloud_has_some_of_the_points_at_other_heights(scene_of, monkeypatch):
-    scene = scene_of(0).scene
-    cloud = lumpy(scene, torch.Generator().manual_seed(0))
-    highest = variation.LARGEST_LUMP
-    monkeypatch.setattr(variation, "LARGEST_LUMP", 0.0)
-    flat = lumpy(scene, torch.Generator().manual_seed(0))
-    distance, which = torch.cdist(flat.points, scene.points, compute_mode="donot_use_mm_for_euclid_dist").min(1)
-    assert float(distance.max()) == 0
-    assert len(which.unique()) == len(flat.points) < len(scene.points)
-    assert torch.equal(flat.truth.points, scene.truth.points[which])
-    assert torch.equal(cloud.truth.points, flat.truth.points)
-    height = (cloud.points - flat.points).std() / nearest_neighbors(flat.points, 4).spacing.mean()
-    assert 0 < float(height) < 1.5 * highest
 
 
 def test_training_without_images_and_colours(scene_of):

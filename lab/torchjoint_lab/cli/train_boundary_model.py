@@ -39,7 +39,7 @@ def train_boundary_model(
     seeds: tuple[int, ...] = (0, 14),
     models: Path | None = None,
     thin: float | None = None,
-    varied: tuple[float, ...] = (0.0, 0.5),
+    varied: tuple[float, ...] = (0.5,),
     max_frames: int | None = None,
     trees: int = 60,
     folds: int = 4,
@@ -59,8 +59,7 @@ def train_boundary_model(
         models: folder of 3D models for the generated scenes, as for `make_domain_scene`.
         thin: keep one point of your own scenes in each voxel of this size, metres.
         varied: the probability that points of a scene are moved, added or left out, and the same for its colours: other
-            light, noise, grey; and that it has no frames. Each number gives MEMBERS models, so that some know your kind
-            of recordings best, and others know worse ones.
+            light, noise, grey; and that it has no frames. Each number gives MEMBERS models.
         max_frames: use at most so many frames of each of your own scenes, evenly spread.
         trees: number of trees in each round of merging of each member.
         folds: parts of the scenes, if they are of one domain, or all your own; else each domain is a part. Each part is

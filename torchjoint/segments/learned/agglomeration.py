@@ -24,10 +24,10 @@ from torchjoint.segments.learned.small_regions import merges_by_contact
 
 #: Thresholds of the rounds after the model's own. At 1 all regions that touch have merged. There are several rounds,
 #: because the model judges larger regions again. They cost little, because few regions are left.
-COARSER = (0.65, 0.8, 0.9, 1.0)
+COARSER = (0.7, 0.8, 0.9, 1.0)
 #: Height of the default level, if the model has no higher threshold. Probabilities are too sure of borders on kinds of
 #: data that no training saw: at .5, where regions merge that more likely than not are one object, objects fall apart.
-DEFAULT_HEIGHT = 0.65
+DEFAULT_HEIGHT = 0.7
 #: The heights of a round's merges are larger than the previous threshold by at least this number.
 HEIGHT_STEP = 2.0**-20
 
