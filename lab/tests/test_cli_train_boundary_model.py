@@ -28,7 +28,7 @@ def small_scenes(scene_of, monkeypatch):
 @pytest.mark.slow
 def test_an_interrupted_run_goes_on(small_scenes, tmp_path, run_lab, capsys, monkeypatch):
     out = tmp_path / "model.npz"
-    options = ["--domains", "room", "--seeds", 0, 1, 4, 5, "--trees", 2, "--members", 2, "-o", out]
+    options = ["--domains", "room", "--seeds", 0, 1, 4, 5, "--varied", 0, 0.5, "--trees", 2, "--members", 2, "-o", out]
     arguments = ["train-boundary-model", *options]
     fit = training.fit_boundary_model
     monkeypatch.setattr(training, "fit_boundary_model", lambda *_, **__: 1 / 0)

@@ -11,6 +11,7 @@ from torchjoint import ops
 from torchjoint.runtime.groups import first_places
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
+    DEFAULT_HEIGHT,
     HEIGHT_STEP,
     build_hierarchy,
     merging_steps,
@@ -95,12 +96,12 @@ class TestRounds:
         hierarchy = build_hierarchy(evidence, model)
         expected = after_rounds(evidence, model, *merging_steps(thresholds))
         assert torch.equal(hierarchy.cut(max(thresholds)), expected)
-        assert hierarchy.default == max(0.65, *thresholds)
+        assert hierarchy.default == max(DEFAULT_HEIGHT, *thresholds)
 
     def test_the_default_level_of_the_package_s_model(self, evidence):
         model = load_boundary_model()
         steps = [(0, 0.075), (0, 0.15), (1, 0.2), (1, 0.25), (2, 0.3), (2, 0.35), (3, 0.425), (3, 0.5), (3, 0.5)]
-        assert torch.equal(build_hierarchy(evidence, model).at(), after_rounds(evidence, model, *steps, (3, 0.65)))
+        assert torch.equal(build_hierarchy(evidence, model).at(), after_rounds(evidence, model, *steps, (3, DEFAULT_HEIGHT)))
 
     @pytest.mark.slow
     def test_a_cut_at_a_threshold_is_the_state_after_its_round(self, evidence):

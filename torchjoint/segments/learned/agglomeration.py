@@ -22,12 +22,13 @@ from torchjoint.segments.learned.occluded_surfaces import continued_surfaces
 from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.small_regions import merges_by_contact
 
-#: Thresholds of the rounds after the model's own. At 1 all regions that touch have merged. There are several rounds,
-#: because the model judges larger regions again. They cost little, because few regions are left.
-COARSER = (0.7, 0.8, 0.9, 1.0)
-#: Height of the default level, if the model has no higher threshold. Probabilities are too sure of borders on kinds of
-#: data that no training saw: at .5, where regions merge that more likely than not are one object, objects fall apart.
-DEFAULT_HEIGHT = 0.7
+#: Height of the default level, without and with masks, if the model has no higher threshold. Probabilities are too sure
+#: of borders on kinds of data that no training saw: at .5, where regions merge that more likely than not are one
+#: object, objects fall apart.
+DEFAULT_HEIGHT, DEFAULT_HEIGHT_WITH_MASKS = 0.7, 0.65
+#: Thresholds of the rounds after that. At 1 all regions that touch have merged. There are several rounds, because the
+#: model judges larger regions again. They cost little, because few regions are left.
+COARSER = (0.8, 0.9, 1.0)
 #: The heights of a round's merges are larger than the previous threshold by at least this number.
 HEIGHT_STEP = 2.0**-20
 
@@ -102,11 +103,12 @@ def build_hierarchy(pieces: PieceGraph, model: Model) -> Hierarchy:
 
 def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, begun: bool = False) -> Hierarchy:
     """As :func:`build_hierarchy`, with any judge. If it has `begun`, the pieces are the state after the first step."""
-    steps, default = merging_steps(thresholds), default_height(thresholds)
-    last, highest = steps[-1]
-    more = [(last, threshold) for threshold in COARSER if threshold > highest]
     merges, regions = Merges(len(pieces)), Regions.of_pieces(pieces)
     linkage = MaskLinkage.of(pieces.masks, pieces.statistics.size)
+    steps = merging_steps(thresholds)
+    last, highest = steps[-1]
+    default, *coarser = last_levels(thresholds, linkage is not None)
+    more = [(last, threshold) for threshold in (default, *coarser) if threshold > highest]
     if linkage is not None:  # a first merging, which shows how far the masks contradict each other
         linkage = linkage.calibrated(_merge_in_steps(regions, judge, steps, linkage, Merges(len(pieces))).of_piece)
     regions = _merge_in_steps(regions, judge, steps[1:] if begun else steps, linkage, merges)
@@ -133,9 +135,10 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
     return merges.hierarchy(pieces.piece, default)
 
 
-def default_height(thresholds: Sequence[float]) -> float:
-    """Height of the default level of a model with these thresholds."""
-    return max(*thresholds, DEFAULT_HEIGHT)
+def last_levels(thresholds: Sequence[float], has_masks: bool) -> list[float]:
+    """Height of the default level of a model with these thresholds, and of the coarser ones."""
+    default = max(*thresholds, DEFAULT_HEIGHT_WITH_MASKS if has_masks else DEFAULT_HEIGHT)
+    return [default, *(threshold for threshold in COARSER if threshold > default)]
 
 
 def _merge_in_steps(

@@ -25,10 +25,9 @@ from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import Votes
 from torchjoint.segments.learned.agglomeration import (
-    COARSER,
     Merges,
     build_hierarchy,
-    default_height,
+    last_levels,
     merge_pieces,
     merging_steps,
 )
@@ -148,7 +147,7 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
         levels, segments = segments_of_judges(draws, Panel(model), model.thresholds)
     else:
         levels, segments = _segments_by_masks(draws, model)
-    merges, below, default = Merges(len(size)), 0.0, default_height(model.thresholds)
+    merges, below, default = Merges(len(size)), 0.0, last_levels(model.thresholds, linkage is not None)[0]
     of_piece = torch.arange(len(size))
     for level, of_judges in zip(levels, segments, strict=True):
         joined, against = vote(of_judges, of_piece, size, pieces.pairs)
@@ -194,14 +193,13 @@ def segments_of_judges(
     return levels, segments
 
 
-def _levels(thresholds: Sequence[float]) -> list[float]:
-    levels = sorted({threshold for _, threshold in merging_steps(thresholds)})
-    return levels + [threshold for threshold in COARSER if threshold > levels[-1]]
+def _levels(thresholds: Sequence[float], has_masks: bool = False) -> list[float]:
+    return sorted({threshold for _, threshold in merging_steps(thresholds)} | {*last_levels(thresholds, has_masks)})
 
 
 def _segments_by_masks(draws: Sequence[PieceGraph], model: BoundaryModel) -> tuple[list[float], list[list[Tensor]]]:
     """As :func:`segments_of_judges`, with masks."""
-    levels, piece = _levels(model.thresholds), draws[0].piece
+    levels, piece = _levels(model.thresholds, has_masks=True), draws[0].piece
     of_draws = []
     for pieces in draws:
         tree = build_hierarchy(pieces, model)
