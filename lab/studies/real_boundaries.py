@@ -29,7 +29,7 @@ from torchjoint.segments.learned.pieces import build_piece_graph
 KINDS, SEEDS = ("room", "kitchen"), (50, 51)
 QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 #: Lumps of a surface: side of the voxels and height, in units of the spacing; as wide as so many neighbours, blurred.
-VOXEL, HEIGHT, NEIGHBORS, BLURS = 1.0, 1.0, 16, 2
+VOXEL, HEIGHT, NEIGHBORS, BLURS = 1.0, 1.5, 16, 2
 #: Features in the picture.
 SHOWN = 12
 PICTURE = Path(__file__).with_name("real_boundaries.png")
