@@ -79,16 +79,6 @@ def read_topics(assignments: Iterable[str]) -> tuple[tuple[str, str], ...]:
     return tuple((role, topic) for role, _, topic in parts.values())
 
 
-def check_output(
-    out: Path, names: Iterable[str], overwrite: bool, inputs: Sequence[Path | None] = ()
-) -> dict[str, Output]:
-    """Checks that files with these names may be written into folder `out`; returns what writes each of them."""
-    if out.exists() and not out.is_dir():
-        raise FileExistsError(f"-o: {out} exists and is not a folder")
-    files = [path for path in inputs if path is not None and path.is_file()]  # scores may lie in a result's folder
-    return {name: Output(out / name, overwrite=overwrite, inputs=files) for name in names}
-
-
 def output_file(out: Path, overwrite: bool, inputs: Sequence[Path | None], option: str = "-o") -> Output:
     """Checks that a file may be written; returns what writes it.
 

@@ -14,6 +14,8 @@ from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, is
 
 #: A file with one of these suffixes lists recordings, one per line.
 LISTS = (".txt", ".list")
+#: How a line with coordinates begins.
+POINT = re.compile(rb"\s*([-+]?[\d.]+(e[-+]?\d+)?[\s,;]+){2}[-+]?[\d.]", re.IGNORECASE)
 #: Files of a batch, beside the folders of its results.
 RECORD, SUMMARY, FAILURES = "batch.yaml", "summary.csv", "failures.csv"
 
@@ -60,11 +62,7 @@ def _expanded(scene: str | Path, lists: tuple[Path, ...] = ()) -> list[Path]:
 def _is_cloud(path: Path) -> bool:
     """Whether a file of text begins with the coordinates of a point."""
     with path.open("rb") as file:
-        words = re.split(rb"[\s,;]+", file.readline(1000).strip())
-    try:
-        return len([float(word) for word in words]) >= len("xyz")
-    except ValueError:
-        return False
+        return POINT.match(file.readline(1000)) is not None
 
 
 def _lines(path: Path) -> list[str]:

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from torchjoint.cli.arguments import check_output
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.outputs import Output
@@ -21,6 +20,7 @@ from torchjoint_lab.benchmark.settings import read_settings, write_settings
 from torchjoint_lab.benchmark.space import Setting
 from torchjoint_lab.benchmark.suites import SUITES, Suite
 from torchjoint_lab.benchmark.tables import method_table, paired_difference, summary_table
+from torchjoint_lab.cli.arguments import check_output
 from torchjoint_lab.cli.benchmark_masks import benchmark_masks
 from torchjoint_lab.evaluation.table import Row, summarize, write_csv, write_plot
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from torchjoint.cli.arguments import check_output
 from torchjoint.runtime.files import write_text
 from torchjoint_lab.benchmark.masks import TITLES, VIEWS, measure, report, runs
+from torchjoint_lab.cli.arguments import check_output
 
 TABLE = "table.md"
 

@@ -11,12 +11,12 @@ from typing import Annotated
 import tyro
 from tqdm import tqdm
 
-from torchjoint.cli.arguments import check_output
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Scene, Truth
+from torchjoint_lab.cli.arguments import check_output
 from torchjoint_lab.evaluation.evaluate import evaluate as evaluate_prediction
 from torchjoint_lab.evaluation.evaluate import evaluate_levels, left_out
 from torchjoint_lab.evaluation.levels import level_table, write_levels

@@ -11,10 +11,10 @@ import torch
 import tyro
 from torch import Tensor
 
-from torchjoint.cli.arguments import check_output
 from torchjoint.config import DETECTORS, BoundaryConfig
 from torchjoint.images.boundary import make_boundary
 from torchjoint.runtime.outputs import Output
+from torchjoint_lab.cli.arguments import check_output
 from torchjoint_lab.datasets.boundary_maps import find_boundary_map, read_boundary_map
 from torchjoint_lab.datasets.bsds import BsdsImage, bsds_images
 from torchjoint_lab.evaluation.boundary_scores import BoundaryScores, evaluate_predictions

@@ -12,7 +12,7 @@ import torch
 import tyro
 from torch import Tensor
 
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out, check_output
+from torchjoint.cli.arguments import DEFAULTS, Flat, Out
 from torchjoint.datasets.cameras import resize_nearest
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
@@ -22,7 +22,7 @@ from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.outputs import Output
 from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene import Scene, Truth
-from torchjoint_lab.cli.arguments import check_max_frames
+from torchjoint_lab.cli.arguments import check_max_frames, check_output
 from torchjoint_lab.datasets.scenes import list_scenes, load_scene
 from torchjoint_lab.datasets.sis3d import GRID, find_folders
 from torchjoint_lab.datasets.voxels import read_world_to_scene

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import tyro
 
-from torchjoint.cli.arguments import check_output
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.outputs import Output
 from torchjoint_lab.benchmark.real import Results, best_rival, measure, report
 from torchjoint_lab.benchmark.real_picture import draw_worst
 from torchjoint_lab.benchmark.real_scenes import find_real_scenes
+from torchjoint_lab.cli.arguments import check_output
 
 TABLE, PICTURE = "table.md", "worst.jpg"
 

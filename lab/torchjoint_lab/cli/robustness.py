@@ -7,11 +7,11 @@ from typing import Annotated
 
 import tyro
 
-from torchjoint.cli.arguments import check_output
 from torchjoint.runtime.files import write_text
 from torchjoint_lab.benchmark.disturbances import DISTURBANCES
 from torchjoint_lab.benchmark.robustness import Record, Run, measure, report
 from torchjoint_lab.benchmark.robustness_scenes import find_scenes
+from torchjoint_lab.cli.arguments import check_output
 
 TABLE = "table.md"
 

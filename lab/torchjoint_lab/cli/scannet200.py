@@ -13,7 +13,6 @@ from typing import Annotated, Literal, NamedTuple
 import tyro
 from tqdm import tqdm
 
-from torchjoint.cli.arguments import check_output
 from torchjoint.config import Config
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.engine import open_engine
@@ -21,6 +20,7 @@ from torchjoint.masks.folder import frame_names
 from torchjoint.metrics import ScannetAveragePrecisionMetric
 from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.runtime.files import write_text
+from torchjoint_lab.cli.arguments import check_output
 from torchjoint_lab.datasets.published_masks import masks_of
 from torchjoint_lab.evaluation.predictions import read_prediction
 from torchjoint_lab.evaluation.protocols import Name, counted, find_table

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from torchjoint.cli.arguments import check_output
+from torchjoint_lab.cli.arguments import check_output
 
 
 def train_scan_model(

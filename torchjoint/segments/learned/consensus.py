@@ -68,8 +68,6 @@ def drawn_anew(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
 
 #: Standard deviation of the noise of a disturbed judge, in log odds. Chosen among 0, .4, .7 and 1 on six real sets.
 NOISE = 0.7
-#: Largest number of judges of each of the three kinds.
-MOST_OF_A_KIND = 5
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
 #: If more boundaries than this are left after the first step, the trees are made draw by draw: less memory, more time.
@@ -79,23 +77,19 @@ NO_PRIOR = 1e-9
 
 
 class Panel:
-    """T judges, of three kinds: a member of the model; a member with noise; and the mean of all members but these two.
-
-    The members with noise are others than those without, if there are enough.
+    """T judges, of three kinds: a member of the model; a member with noise; and the mean of all other members.
 
     Args:
-        model: M members, T = 3 min(M, 5).
+        model: M members, T = 3 M.
     """
 
     def __init__(self, model: BoundaryModel) -> None:
         self._members = model.members
-        each = min(len(self._members), MOST_OF_A_KIND)
-        members = torch.eye(len(self._members), dtype=torch.float64)
-        sure, unsure = members[:each], members.roll(-each, 0)[:each]
-        others = 1 - torch.maximum(sure, unsure)
-        others = torch.where(others.any(1, keepdim=True), others, sure)
-        self.weights = torch.cat([sure, unsure, others / others.sum(1, keepdim=True)])  # [T, M]
-        self._is_unsure = torch.arange(len(self.weights)) // each == 1
+        count = len(self._members)
+        member = torch.eye(count, dtype=torch.float64)
+        others = (1 - member) / (count - 1) if count > 1 else member
+        self.weights = torch.cat([member, member, others])  # [T, M]
+        self._is_unsure = torch.arange(len(self.weights)) // count == 1
         self._random = torch.Generator().manual_seed(0)
 
     def probabilities(self, number: int, values: Tensor, judge: Tensor) -> Tensor:
