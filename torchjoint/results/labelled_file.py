@@ -26,7 +26,7 @@ from torchjoint.datasets.files.ply import PlyRecords, read_ply, read_records, wr
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import file_name
-from torchjoint.runtime.foreign_files import damage_is, no_twice
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import without_return
@@ -153,9 +153,7 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
     sure = result.point_confidence
     sureness = "confidence" if name == "label" else f"{name}_confidence"  # a file may be labelled more than once
-    names = [name] if sure is None else [name, sureness]
-    no_twice(names, "name: dimension")
-    for one in names:
+    for one in [name] if sure is None else [name, sureness]:
         check_dimension(source, one)
     points = las.read_las(source).points
     with damage_is(str(source)):

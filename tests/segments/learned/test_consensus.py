@@ -102,13 +102,13 @@ class TestPanel:
         panel = Panel(BoundaryModel((Always(0.3),)))
         assert panel.probabilities(0, torch.zeros(2, 1), torch.tensor([0, 2])).tolist() == pytest.approx([0.3, 0.3])
 
-    def test_of_ten_members_five_have_noise(self):
-        panel = Panel(BoundaryModel(tuple(Always(p / 10) for p in range(10))))
+    def test_each_member_also_judges_with_noise(self):
+        panel = Panel(BoundaryModel(tuple(Always(p / 10) for p in range(1, 6))))
         found = panel.probabilities(0, torch.zeros(15, 1), torch.arange(15))
-        assert found[:5].tolist() == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
-        odds = torch.logit(found[5:10]) - torch.logit(torch.tensor([0.5, 0.6, 0.7, 0.8, 0.9]))
+        assert found[:5].tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
+        odds = torch.logit(found[5:10]) - torch.logit(found[:5])
         assert 0 < odds.abs().min() < odds.abs().max() < NOISE * 3**0.5
-        assert found[10:].tolist() == pytest.approx([(4.5 - (2 * p + 5) / 10) / 8 for p in range(5)])
+        assert found[10:].tolist() == pytest.approx([(1.5 - (p + 1) / 10) / 4 for p in range(5)])
 
     def test_noise_is_repeatable_and_limited(self):
         model = BoundaryModel((Always(0.5), Always(0.5)))

@@ -108,7 +108,6 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
     steps = merging_steps(thresholds)
     last, highest = steps[-1]
     default, *coarser = last_levels(thresholds, linkage is not None)
-    more = [(last, threshold) for threshold in (default, *coarser) if threshold > highest]
     if linkage is not None:  # a first merging, which shows how far the masks contradict each other
         linkage = linkage.calibrated(_merge_in_steps(regions, judge, steps, linkage, Merges(len(pieces))).of_piece)
     regions = _merge_in_steps(regions, judge, steps[1:] if begun else steps, linkage, merges)
@@ -122,7 +121,7 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
         # At the height of the threshold, so all finer levels keep the regions apart.
         merges.add(regions.of_piece, joined, torch.full_like(height, highest), highest)
         regions = regions.merged(joined)
-    to_default = [step for step in more if step[1] <= default]
+    to_default = [(last, default)] if default > highest else []
     outlined = None if linkage is None else replace(linkage, keeps_outlines=True)
     regions = _merge_in_steps(regions, judge, to_default, outlined, merges)
     if linkage is not None:
@@ -131,7 +130,7 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
         joined = merges_by_contact(graph.pairs, graph.boundaries.num_edges, size, stays)
         merges.add(regions.of_piece, joined, torch.full((joined.shape[1],), default, dtype=torch.float64), default)
         regions = regions.merged(joined)
-    _merge_in_steps(regions, judge, [step for step in more if step[1] > default], linkage, merges)
+    _merge_in_steps(regions, judge, [(last, threshold) for threshold in coarser], linkage, merges)
     return merges.hierarchy(pieces.piece, default)
 
 

@@ -193,11 +193,11 @@ def _levels(thresholds: Sequence[float], has_masks: bool = False) -> list[float]
 
 def _segments_by_masks(draws: Sequence[PieceGraph], model: BoundaryModel) -> tuple[list[float], list[list[Tensor]]]:
     """As :func:`segments_of_judges`, with masks."""
-    levels, piece = _levels(model.thresholds, has_masks=True), draws[0].piece
-    of_draws = []
+    levels, of_draws = _levels(model.thresholds, has_masks=True), []
     for pieces in draws:
         tree = build_hierarchy(pieces, model)
-        of_draws.append(_of_other_pieces([tree.segments_of_pieces(level) for level in levels], pieces.piece, piece))
+        found = [tree.segments_of_pieces(level) for level in levels]
+        of_draws.append(_of_other_pieces(found, pieces.piece, draws[0].piece))
     return levels, [list(of_level) for of_level in zip(*of_draws, strict=True)]
 
 
