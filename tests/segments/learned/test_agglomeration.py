@@ -101,7 +101,8 @@ class TestRounds:
     def test_the_default_level_of_the_package_s_model(self, evidence):
         model = load_boundary_model()
         steps = [(0, 0.075), (0, 0.15), (1, 0.2), (1, 0.25), (2, 0.3), (2, 0.35), (3, 0.425), (3, 0.5), (3, 0.5)]
-        assert torch.equal(build_hierarchy(evidence, model).at(), after_rounds(evidence, model, *steps, (3, DEFAULT_HEIGHT)))
+        by_hand = after_rounds(evidence, model, *steps, (3, DEFAULT_HEIGHT))
+        assert torch.equal(build_hierarchy(evidence, model).at(), by_hand)
 
     @pytest.mark.slow
     def test_a_cut_at_a_threshold_is_the_state_after_its_round(self, evidence):
