@@ -35,7 +35,7 @@ def test_levels_are_read_back(tmp_path, scene, result, granularity):
     read = read_result(written(tmp_path / "out", scene, result, granularity))
     assert torch.equal(read.points, result.at(granularity).points)
     assert read.names == result.names
-    assert read.hierarchy.default == result.hierarchy.default == 0.7
+    assert read.hierarchy.default == result.hierarchy.default == 0.6
     for level in LEVELS:
         got, expected = read.at(level), result.at(level)
         assert torch.equal(got.points, expected.points)

@@ -11,8 +11,8 @@ from torchjoint import ops
 from torchjoint.runtime.groups import first_places
 from torchjoint.segments.learned.agglomeration import (
     COARSER,
-    DEFAULT_HEIGHT,
     HEIGHT_STEP,
+    WITH_IMAGES,
     build_hierarchy,
     merging_steps,
 )
@@ -96,12 +96,12 @@ class TestRounds:
         hierarchy = build_hierarchy(evidence, model)
         expected = after_rounds(evidence, model, *merging_steps(thresholds))
         assert torch.equal(hierarchy.cut(max(thresholds)), expected)
-        assert hierarchy.default == max(DEFAULT_HEIGHT, *thresholds)
+        assert hierarchy.default == max(WITH_IMAGES, *thresholds)
 
     def test_the_default_level_of_the_package_s_model(self, evidence):
         model = load_boundary_model()
         steps = [(0, 0.075), (0, 0.15), (1, 0.2), (1, 0.25), (2, 0.3), (2, 0.35), (3, 0.425), (3, 0.5), (3, 0.5)]
-        by_hand = after_rounds(evidence, model, *steps, (3, DEFAULT_HEIGHT))
+        by_hand = after_rounds(evidence, model, *steps, (3, WITH_IMAGES))
         assert torch.equal(build_hierarchy(evidence, model).at(), by_hand)
 
     @pytest.mark.slow

@@ -22,10 +22,10 @@ from torchjoint.segments.learned.occluded_surfaces import continued_surfaces
 from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.small_regions import merges_by_contact
 
-#: Height of the default level, without and with masks, if the model has no higher threshold. Probabilities are too sure
-#: of borders on kinds of data that no training saw: at .5, where regions merge that more likely than not are one
-#: object, objects fall apart.
-DEFAULT_HEIGHT, DEFAULT_HEIGHT_WITH_MASKS = 0.7, 0.65
+#: Height of the default level of a cloud alone, with images, and with masks, if the model has no higher threshold.
+#: Probabilities are too sure of borders on kinds of data that no training saw: at .5, where regions merge that more
+#: likely than not are one object, objects fall apart.
+ALONE, WITH_IMAGES, WITH_MASKS = 0.7, 0.6, 0.65
 #: Thresholds of the rounds after that. At 1 all regions that touch have merged. There are several rounds, because the
 #: model judges larger regions again. They cost little, because few regions are left.
 COARSER = (0.8, 0.9, 1.0)
@@ -107,7 +107,7 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
     linkage = MaskLinkage.of(pieces.masks, pieces.statistics.size)
     steps = merging_steps(thresholds)
     last, highest = steps[-1]
-    default, *coarser = last_levels(thresholds, linkage is not None)
+    default, *coarser = last_levels(thresholds, pieces)
     if linkage is not None:  # a first merging, which shows how far the masks contradict each other
         linkage = linkage.calibrated(_merge_in_steps(regions, judge, steps, linkage, Merges(len(pieces))).of_piece)
     regions = _merge_in_steps(regions, judge, steps[1:] if begun else steps, linkage, merges)
@@ -134,9 +134,10 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
     return merges.hierarchy(pieces.piece, default)
 
 
-def last_levels(thresholds: Sequence[float], has_masks: bool) -> list[float]:
+def last_levels(thresholds: Sequence[float], pieces: PieceGraph) -> list[float]:
     """Height of the default level of a model with these thresholds, and of the coarser ones."""
-    default = max(*thresholds, DEFAULT_HEIGHT_WITH_MASKS if has_masks else DEFAULT_HEIGHT)
+    height = WITH_MASKS if pieces.masks is not None else ALONE if pieces.images is None else WITH_IMAGES
+    default = max(*thresholds, height)
     return [default, *(threshold for threshold in COARSER if threshold > default)]
 
 

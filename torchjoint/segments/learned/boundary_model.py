@@ -188,8 +188,8 @@ def _check_calibration(calibration: Tensor) -> None:
         raise ValueError("calibration: expected ascending x, and y that do not descend")
 
 
-#: The model that comes with the package, in torchjoint/models/.
-PACKAGED = "boundaries.npz"
+#: The models that come with the package, in torchjoint/models/: for clouds alone and with masks, and with images.
+PACKAGED, OF_IMAGES = "boundaries.npz", "boundaries-images.npz"
 #: Largest size of all arrays in a model's file, bytes. The packaged model takes less than 2 MB.
 LARGEST = 1 << 28
 #: The version of the file's layout, stored in the file.
@@ -243,7 +243,7 @@ def load_boundary_model(
         raise ValueError(f"{path}: not a model of boundaries: {error}") from error
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=3)
 def _packaged_model(features: tuple[str, ...], packaged: str) -> BoundaryModel:
     with as_file(files("torchjoint.models") / packaged) as path:
         return load_boundary_model(path, features)

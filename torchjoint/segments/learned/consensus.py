@@ -141,7 +141,7 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
         levels, segments = segments_of_judges(draws, Panel(model), model.thresholds)
     else:
         levels, segments = _segments_by_masks(draws, model)
-    merges, below, default = Merges(len(size)), 0.0, last_levels(model.thresholds, linkage is not None)[0]
+    merges, below, default = Merges(len(size)), 0.0, last_levels(model.thresholds, pieces)[0]
     of_piece = torch.arange(len(size))
     for level, of_judges in zip(levels, segments, strict=True):
         joined, against = vote(of_judges, of_piece, size, pieces.pairs)
@@ -169,7 +169,7 @@ def segments_of_judges(
 
     The segments [P] are those of the first draw's pieces: a piece is where most of its points are after the first step.
     """
-    levels = _levels(thresholds)
+    levels = _levels(thresholds, draws[0])
     segments: list[list[Tensor]] = [[] for _ in levels]
     graphs: list[PieceGraph] = []
     regions: list[Tensor] = []
@@ -187,13 +187,13 @@ def segments_of_judges(
     return levels, segments
 
 
-def _levels(thresholds: Sequence[float], has_masks: bool = False) -> list[float]:
-    return sorted({threshold for _, threshold in merging_steps(thresholds)} | {*last_levels(thresholds, has_masks)})
+def _levels(thresholds: Sequence[float], pieces: PieceGraph) -> list[float]:
+    return sorted({threshold for _, threshold in merging_steps(thresholds)} | {*last_levels(thresholds, pieces)})
 
 
 def _segments_by_masks(draws: Sequence[PieceGraph], model: BoundaryModel) -> tuple[list[float], list[list[Tensor]]]:
     """As :func:`segments_of_judges`, with masks."""
-    levels, of_draws = _levels(model.thresholds, has_masks=True), []
+    levels, of_draws = _levels(model.thresholds, draws[0]), []
     for pieces in draws:
         tree = build_hierarchy(pieces, model)
         found = [tree.segments_of_pieces(level) for level in levels]

@@ -11,7 +11,7 @@ from torchjoint.cloud.scales import working_cloud
 from torchjoint.config import Config
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Cloud, Hierarchy
-from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
+from torchjoint.segments.learned.boundary_model import OF_IMAGES, PACKAGED, BoundaryModel, load_boundary_model
 from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
 from torchjoint.segments.learned.masks import move_to_majority
 from torchjoint.segments.learned.piece_graph import PieceGraph
@@ -37,9 +37,9 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
     """All levels of the segmentation."""
     if graph.scales is None:
         raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
-    scales, model = graph.scales, _model(config)
-    colors = measure_colors(graph, evidence.observations)
+    scales, colors = graph.scales, measure_colors(graph, evidence.observations)
     pieces = build_piece_graph(graph, scales, evidence, colors)
+    model = _model(config, sees_images=pieces.images is not None and pieces.masks is None)
 
     def draw(number: int) -> PieceGraph:
         return build_piece_graph(drawn_anew(graph, scales, number), scales, evidence, colors) if number else pieces
@@ -59,6 +59,6 @@ def measured(graph: PointGraph) -> str:
     return f", spacing {spacing:.3g} mm, noise {noise:.2g} mm, normals {normals}"
 
 
-def _model(config: Config) -> BoundaryModel:
-    method = config.point_segments.method
-    return load_boundary_model(method if method.endswith(".npz") else None)
+def _model(config: Config, sees_images: bool = False) -> BoundaryModel:
+    method, packaged = config.point_segments.method, OF_IMAGES if sees_images else PACKAGED
+    return load_boundary_model(method if method.endswith(".npz") else None, packaged=packaged)
