@@ -1,5 +1,6 @@
 """Step 6, method learned: merging by hand, the rounds, and the method as a whole with a model by hand."""
 
+import dataclasses
 from dataclasses import replace
 
 import pytest
@@ -10,14 +11,16 @@ import torchjoint as tj
 from torchjoint import ops
 from torchjoint.runtime.groups import first_places
 from torchjoint.segments.learned.agglomeration import (
+    ALONE,
     COARSER,
     HEIGHT_STEP,
     WITH_IMAGES,
+    WITH_MASKS,
     build_hierarchy,
     merging_steps,
 )
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.segments.learned.boundary_model import load_boundary_model
+from torchjoint.segments.learned.boundary_model import OF_IMAGES, PACKAGED, load_boundary_model
 from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
 from torchjoint.segments.learned.method import segment
 from torchjoint.segments.learned.pieces import build_piece_graph
@@ -148,7 +151,25 @@ class TestRounds:
 class TestMethod:
     @pytest.fixture(autouse=True)
     def _model(self, monkeypatch):
-        monkeypatch.setattr("torchjoint.segments.learned.method.load_boundary_model", lambda _: ByCrease(0.1, 0.2, 0.3))
+        self.packaged = []
+
+        def load(path, packaged):
+            self.packaged.append(packaged)
+            return ByCrease(0.1, 0.2, 0.3)
+
+        monkeypatch.setattr("torchjoint.segments.learned.method.load_boundary_model", load)
+
+    def test_which_model_and_level(self, scene):
+        bare = dataclasses.replace(scene, frames=())
+        mask = tj.Masks.from_stack(torch.ones(1, *scene.frames[0].image.shape[1:], dtype=torch.bool))
+        masked = dataclasses.replace(scene, frames=[dataclasses.replace(scene.frames[0], masks=mask)])
+        for given, packaged, height in (
+            (bare, PACKAGED, ALONE),
+            (scene, OF_IMAGES, WITH_IMAGES),
+            (masked, PACKAGED, WITH_MASKS),
+        ):
+            assert tj.JointSegmenter()(given).hierarchy.default == height
+            assert self.packaged[-1] == packaged
 
     def test_is_the_consensus(self, segmenter, evidence):
         graph = segmenter.graph

@@ -11,7 +11,7 @@ from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint import ops
-from torchjoint.segments.learned.agglomeration import DEFAULT_HEIGHT, build_hierarchy
+from torchjoint.segments.learned.agglomeration import WITH_IMAGES, build_hierarchy
 from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
 from torchjoint.segments.learned.consensus import (
     DEVIATION,
@@ -214,8 +214,8 @@ class TestConsensus:
 
     def test_the_default_level_has_no_small_regions(self, evidence):
         hierarchy = build_consensus([evidence], load_boundary_model())
-        assert hierarchy.default == DEFAULT_HEIGHT
-        of_piece = hierarchy.segments_of_pieces(DEFAULT_HEIGHT)
+        assert hierarchy.default == WITH_IMAGES
+        of_piece = hierarchy.segments_of_pieces(WITH_IMAGES)
         size = torch.bincount(of_piece[hierarchy.piece])
         a, b = of_piece[evidence.pairs]
         has_neighbour = torch.zeros(len(size), dtype=torch.bool)
