@@ -121,9 +121,8 @@ def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, 
         # At the height of the threshold, so all finer levels keep the regions apart.
         merges.add(regions.of_piece, joined, torch.full_like(height, highest), highest)
         regions = regions.merged(joined)
-    to_default = [(last, default)] if default > highest else []
     outlined = None if linkage is None else replace(linkage, keeps_outlines=True)
-    regions = _merge_in_steps(regions, judge, to_default, outlined, merges)
+    regions = _merge_in_steps(regions, judge, [(last, default)] if default > highest else [], outlined, merges)
     if linkage is not None:
         graph = regions.graph
         size, stays = graph.statistics.size, linkage.confirmed(regions.of_piece)
