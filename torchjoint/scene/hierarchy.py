@@ -19,7 +19,7 @@ from torchjoint.runtime.threads import one_thread_per_operation
 
 #: Log odds that a segment is an object: an offset; a factor of the mean IoU with the judges' segments; and a factor of
 #: the logarithm of its number of points. ``lab/studies/confidence.py`` fits them, and tests them on kinds left out.
-OFFSET, PER_IOU, PER_LOG_POINTS = -4.478, 2.010, 0.5569
+OFFSET, PER_IOU, PER_LOG_POINTS = -4.775, 2.504, 0.5272
 
 
 class Confidence(NamedTuple):
