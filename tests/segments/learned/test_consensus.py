@@ -96,7 +96,14 @@ class TestPanel:
         judge = torch.tensor([0, 1, 2, 6, 7, 8])
         found = panel.probabilities(0, torch.zeros(6, 1), judge)
         assert found.tolist() == pytest.approx([0.2, 0.4, 0.9, 0.65, 0.55, 0.3])
-        assert panel.first_probabilities(torch.zeros(2, 1), judge)[:, 1].tolist() == pytest.approx(found)
+        silent = Silent(BoundaryModel(tuple(Always(p) for p in (0.2, 0.4, 0.9))))
+        assert silent.first_probabilities(torch.zeros(2, 1))[judge, 1].tolist() == pytest.approx(found)
+
+    def test_a_share_of_the_judges(self):
+        panel = Panel(BoundaryModel(tuple(Always(p) for p in (0.2, 0.4, 0.9))), slice(2, None, 3))
+        found = panel.probabilities(0, torch.zeros(2, 1), torch.tensor([0, 2])).tolist()
+        assert found == pytest.approx([0.9, 0.3])
+        assert panel.first_probabilities(torch.zeros(1, 1))[[0, 2], 0].tolist() == pytest.approx(found)
 
     def test_the_only_member_judges_alone(self):
         panel = Panel(BoundaryModel((Always(0.3),)))
@@ -157,39 +164,44 @@ class Silent(Panel):
         return probability
 
 
+@pytest.fixture
+def silent(monkeypatch):
+    monkeypatch.setattr("torchjoint.segments.learned.consensus.Panel", Silent)
+
+
 class TestConsensus:
-    def test_trees_are_those_of_each_judge_by_itself(self, evidence):
+    def test_trees_are_those_of_each_judge_by_itself(self, evidence, silent):
         model = load_boundary_model()
-        levels, segments = segments_of_judges([evidence], Silent(model), model.thresholds)
+        levels, segments = segments_of_judges([evidence], model)
         assert levels == [0.075, 0.15, 0.2, 0.25, 0.3, 0.35, 0.425, 0.5, 0.6, 0.8, 0.9, 1.0]
         for judge, members in ((1, [1]), (6, [1]), (14, [0, 1, 2, 3])):
             alone = build_hierarchy(evidence, BoundaryModel(tuple(model.members[member] for member in members)))
             for level, of_judges in zip(levels, segments, strict=True):
                 assert torch.equal(of_judges[judge], alone.segments_of_pieces(level))
 
-    def test_each_draw_has_its_share_of_the_judges(self, evidence):
+    def test_each_draw_has_its_share_of_the_judges(self, evidence, silent):
         model = load_boundary_model()
-        _, expected = segments_of_judges([evidence], Silent(model), model.thresholds)
-        _, segments = segments_of_judges([evidence, evidence], Silent(model), model.thresholds)
+        _, expected = segments_of_judges([evidence], model)
+        _, segments = segments_of_judges([evidence, evidence], model)
         order = [*range(0, 15, 2), *range(1, 15, 2)]
         for of_judges, alone in zip(segments, expected, strict=True):
             assert all(torch.equal(one, alone[judge]) for one, judge in zip(of_judges, order, strict=True))
 
     def test_trees_made_draw_by_draw_are_the_same(self, evidence, monkeypatch):
         model = load_boundary_model()
-        _, expected = segments_of_judges([evidence] * 3, Silent(model), model.thresholds)
-        monkeypatch.setattr("torchjoint.segments.learned.consensus.MANY_BOUNDARIES", 0)
-        _, found = segments_of_judges([evidence] * 3, Silent(model), model.thresholds)
+        _, expected = segments_of_judges([evidence] * 3, model)
+        monkeypatch.setattr("torchjoint.segments.learned.consensus.MANY_POINTS", 0)
+        _, found = segments_of_judges([evidence] * 3, model)
         for one, other in zip(expected, found, strict=True):
             assert all(map(torch.equal, one, other))
             assert len(one) == len(other) == 15
 
-    def test_a_piece_is_where_most_of_its_points_are(self, evidence, segmenter):
+    def test_a_piece_is_where_most_of_its_points_are(self, evidence, segmenter, silent):
         graph, model = segmenter.graph, load_boundary_model()
         other = build_piece_graph(drawn_anew(graph, graph.scales, 1), graph.scales, segmenter.state)
         assert not torch.equal(other.piece, evidence.piece)
-        _, segments = segments_of_judges([evidence, other], Silent(model), model.thresholds)
-        _, own = segments_of_judges([other], Silent(model), model.thresholds)
+        _, segments = segments_of_judges([evidence, other], model)
+        _, own = segments_of_judges([other], model)
         of_point = own[0][1][other.piece]  # judge 1 after the first step
         for piece in range(len(evidence.statistics.size)):
             most = Counter(sorted(of_point[evidence.piece == piece].tolist())).most_common(1)
@@ -202,7 +214,7 @@ class TestConsensus:
     @pytest.mark.parametrize("height", [0.5, 0.6])
     def test_a_level_has_together_what_most_trees_have(self, evidence, height):
         model = load_boundary_model()
-        levels, segments = segments_of_judges([evidence], Panel(model), model.thresholds)
+        levels, segments = segments_of_judges([evidence], model)
         of_piece = build_consensus([evidence], model).segments_of_pieces(height)
         a, b = evidence.pairs
         trees = torch.stack(segments[levels.index(height)])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 
 import torch
 from torch import Tensor
@@ -70,8 +71,8 @@ def drawn_anew(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
 NOISE = 0.7
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
-#: If more boundaries than this are left after the first step, the trees are made draw by draw: less memory, more time.
-MANY_BOUNDARIES = 1 << 16
+#: Clouds of more points are judged draw by draw: less memory, more time.
+MANY_POINTS = 400_000
 #: The operator wants a prior; this much of it changes nothing.
 NO_PRIOR = 1e-9
 
@@ -81,16 +82,17 @@ class Panel:
 
     Args:
         model: M members, T = 3 M.
+        share: which of the judges there are; their noise depends on its start.
     """
 
-    def __init__(self, model: BoundaryModel) -> None:
+    def __init__(self, model: BoundaryModel, share: slice = slice(0, None)) -> None:
         self._members = model.members
         count = len(self._members)
         member = torch.eye(count, dtype=torch.float64)
         others = (1 - member) / (count - 1) if count > 1 else member
-        self.weights = torch.cat([member, member, others])  # [T, M]
-        self._is_unsure = torch.arange(len(self.weights)) // count == 1
-        self._random = torch.Generator().manual_seed(0)
+        self.weights = torch.cat([member, member, others])[share]  # [T, M]
+        self._is_unsure = (torch.arange(3 * count) // count == 1)[share]
+        self._random = torch.Generator().manual_seed(share.start)
 
     def probabilities(self, number: int, values: Tensor, judge: Tensor) -> Tensor:
         """The probability that two regions belong to different objects, [B] float64.
@@ -106,13 +108,13 @@ class Panel:
             probability[rows] += weight[rows] * member.probability(number, values[rows])
         return self._disturbed(probability, self._is_unsure[judge])
 
-    def first_probabilities(self, values: Tensor, judges: Tensor) -> Tensor:
-        """The probabilities [J, B] of some `judges` [J] int64 in the first round, of boundaries [B, F] that all see."""
+    def first_probabilities(self, values: Tensor) -> Tensor:
+        """The probabilities [T, B] of all judges in the first round, of boundaries [B, F] that all see."""
         members = parallel_map(lambda member: member.probability(0, values), self._members)
-        probability = torch.zeros(len(judges), len(values), dtype=torch.float64)
+        probability = torch.zeros(len(self.weights), len(values), dtype=torch.float64)
         for of_member, weight in zip(members, self.weights.T, strict=True):  # the bits of `@` differ between machines
-            probability += weight[judges, None] * of_member
-        return self._disturbed(probability, self._is_unsure[judges, None].expand_as(probability))
+            probability += weight[:, None] * of_member
+        return self._disturbed(probability, self._is_unsure[:, None].expand_as(probability))
 
     def _disturbed(self, probability: Tensor, is_unsure: Tensor) -> Tensor:
         # Uniform noise: the bits of normal deviates differ between processors.
@@ -138,7 +140,7 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
     size = pieces.statistics.size.long()
     linkage = MaskLinkage.of(pieces.masks, size)
     if linkage is None:
-        levels, segments = segments_of_judges(draws, Panel(model), model.thresholds)
+        levels, segments = segments_of_judges(draws, model)
     else:
         levels, segments = _segments_by_masks(draws, model)
     merges, below, default = Merges(len(size)), 0.0, last_levels(model.thresholds, pieces)[0]
@@ -162,29 +164,21 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
     return replace(merges.hierarchy(pieces.piece, default), votes=votes)
 
 
-def segments_of_judges(
-    draws: Sequence[PieceGraph], panel: Panel, thresholds: Sequence[float]
-) -> tuple[list[float], list[list[Tensor]]]:
+def segments_of_judges(draws: Sequence[PieceGraph], model: BoundaryModel) -> tuple[list[float], list[list[Tensor]]]:
     """The thresholds of the L levels of the merging; and for each level the segments of each judge's tree.
 
     The segments [P] are those of the first draw's pieces: a piece is where most of its points are after the first step.
     """
-    levels = _levels(thresholds, draws[0])
-    segments: list[list[Tensor]] = [[] for _ in levels]
-    graphs: list[PieceGraph] = []
-    regions: list[Tensor] = []
-    judges: list[Tensor] = []
-    piece = draws[0].piece
-    for number, pieces in enumerate(draws):
-        judges.append(torch.arange(number, len(panel.weights), len(draws)))
-        after = _first_regions(pieces, panel, judges[-1], levels[0])
-        regions += _of_other_pieces(after, pieces.piece, piece)
-        graphs += _grouped(pieces, after)
-        if number + 1 == len(draws) or sum(graph.pairs.shape[1] for graph in graphs) > MANY_BOUNDARIES:
-            merged = _segments(graphs, regions, panel, torch.cat(judges), thresholds, levels)
-            segments = [found + more for found, more in zip(segments, merged, strict=True)]
-            graphs, regions, judges = [], [], []
-    return levels, segments
+    levels, piece = _levels(model.thresholds, draws[0]), draws[0].piece
+
+    def of_draw(number: int) -> list[list[Tensor]]:
+        panel, pieces = Panel(model, slice(number, None, len(draws))), draws[number]
+        after = _first_regions(pieces, panel, levels[0])
+        return _segments(_grouped(pieces, after), _of_other_pieces(after, pieces.piece, piece), panel, model, levels)
+
+    numbers = range(len(draws))
+    found = parallel_map(of_draw, numbers) if len(piece) <= MANY_POINTS else [of_draw(number) for number in numbers]
+    return levels, [list(chain.from_iterable(of_level)) for of_level in zip(*found, strict=True)]
 
 
 def _levels(thresholds: Sequence[float], pieces: PieceGraph) -> list[float]:
@@ -201,15 +195,15 @@ def _segments_by_masks(draws: Sequence[PieceGraph], model: BoundaryModel) -> tup
     return levels, [list(of_level) for of_level in zip(*of_draws, strict=True)]
 
 
-def _first_regions(pieces: PieceGraph, panel: Panel, judges: Tensor, threshold: float) -> list[Tensor]:
-    """The regions [P] of the pieces after the first step, for each of the judges [J]."""
+def _first_regions(pieces: PieceGraph, panel: Panel, threshold: float) -> list[Tensor]:
+    """The regions [P] of the pieces after the first step, for each of the judges."""
     num_edges = pieces.boundaries.num_edges
 
     def merged(probability: Tensor) -> Tensor:
         joined, _ = ops.region_dendrogram(pieces.pairs, probability.float(), len(pieces), threshold, num_edges)
         return ops.connected_components(joined, len(pieces))
 
-    return parallel_map(merged, panel.first_probabilities(boundary_features(pieces), judges))
+    return parallel_map(merged, panel.first_probabilities(boundary_features(pieces)))
 
 
 def _grouped(pieces: PieceGraph, regions: Sequence[Tensor]) -> list[PieceGraph]:
@@ -223,20 +217,15 @@ def _grouped(pieces: PieceGraph, regions: Sequence[Tensor]) -> list[PieceGraph]:
 
 
 def _segments(
-    graphs: Sequence[PieceGraph],
-    regions: Sequence[Tensor],
-    panel: Panel,
-    judges: Tensor,
-    thresholds: Sequence[float],
-    levels: Sequence[float],
+    graphs: Sequence[PieceGraph], regions: Sequence[Tensor], panel: Panel, model: BoundaryModel, levels: Sequence[float]
 ) -> list[list[Tensor]]:
-    """For each level the segments of each of the judges [J], whose regions after the first step [P] are known."""
+    """For each level the segments of each of the judges, whose regions after the first step [P] are known."""
     sizes = [len(graph) for graph in graphs]
-    judge = judges.repeat_interleave(torch.tensor(sizes))
-    # The first step merges nearly everything. What is left is small, so that all judges' graphs together fit in one.
+    judge = torch.arange(len(graphs)).repeat_interleave(torch.tensor(sizes))
+    # The first step merges nearly everything. What is left is small, so that the judges' graphs together fit in one.
     forest = merge_pieces(
         disjoint_union(graphs),
-        thresholds,
+        model.thresholds,
         lambda number, values, piece: panel.probabilities(number, values, judge[piece]),
         begun=True,
     )
