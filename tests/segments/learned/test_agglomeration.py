@@ -148,6 +148,11 @@ class TestRounds:
         assert len(model.asked) == 2
 
 
+def grey_of(scene):
+    frames = [dataclasses.replace(frame, image=frame.image[:1].expand(3, -1, -1)) for frame in scene.frames]
+    return dataclasses.replace(scene, colors=scene.colors[:, :1].expand(-1, 3), frames=frames)
+
+
 class TestMethod:
     @pytest.fixture(autouse=True)
     def _model(self, monkeypatch):
@@ -167,6 +172,7 @@ class TestMethod:
             (bare, PACKAGED, ALONE),
             (scene, OF_IMAGES, WITH_IMAGES),
             (masked, PACKAGED, WITH_MASKS),
+            (grey_of(scene), PACKAGED, WITH_IMAGES),  # that model learned from grey scenes, too
         ):
             assert tj.JointSegmenter()(given).hierarchy.default == height
             assert self.packaged[-1] == packaged

@@ -15,8 +15,11 @@ from torchjoint.segments.learned.boundary_model import OF_IMAGES, PACKAGED, Boun
 from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
 from torchjoint.segments.learned.masks import move_to_majority
 from torchjoint.segments.learned.piece_graph import PieceGraph
-from torchjoint.segments.learned.pieces import build_piece_graph, measure_colors
+from torchjoint.segments.learned.pieces import Colors, build_piece_graph, measure_colors
 from torchjoint.views.evidence import Evidence
+
+#: Largest distance of a grey point from the axis of greys, units of Lab: of rounded colours.
+GREY = 1.0
 
 
 def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
@@ -39,7 +42,7 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
         raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
     scales, colors = graph.scales, measure_colors(graph, evidence.observations)
     pieces = build_piece_graph(graph, scales, evidence, colors)
-    model = _model(config, sees_images=pieces.images is not None and pieces.masks is None)
+    model = _model(config, sees_images=pieces.images is not None and pieces.masks is None and _has_hues(colors))
 
     def draw(number: int) -> PieceGraph:
         return build_piece_graph(drawn_anew(graph, scales, number), scales, evidence, colors) if number else pieces
@@ -57,6 +60,11 @@ def measured(graph: PointGraph) -> str:
     spacing, noise = (1000 * float(of_points.median()) for of_points in (graph.scales.spacing, graph.scales.noise))
     normals = "given" if graph.has_given_normals else f"from {graph.scales.normal_neighbors} neighbours"
     return f", spacing {spacing:.3g} mm, noise {noise:.2g} mm, normals {normals}"
+
+
+def _has_hues(colors: Colors) -> bool:
+    """Whether something is not grey: the model of images learned from cameras of colours only, and errs without."""
+    return colors.lab is not None and bool((colors.lab[:, 1:].abs() > GREY).any())
 
 
 def _model(config: Config, sees_images: bool = False) -> BoundaryModel:
