@@ -23,7 +23,7 @@ from torchjoint.segments.learned.consensus import (
     vote,
 )
 from torchjoint.segments.learned.pieces import build_piece_graph
-from torchjoint.segments.learned.small_regions import MIN_SIZE
+from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES
 
 
 def tensors(*rows):
@@ -232,9 +232,15 @@ class TestConsensus:
         a, b = of_piece[evidence.pairs]
         has_neighbour = torch.zeros(len(size), dtype=torch.bool)
         has_neighbour[torch.cat([a[a != b], b[a != b]])] = True
-        assert size[has_neighbour].min() >= MIN_SIZE
+        assert size[has_neighbour].min() >= MIN_SIZE_IN_IMAGES
         below = torch.bincount(hierarchy.cut(0.3))
-        assert below.min() < MIN_SIZE  # finer levels have them
+        assert below.min() < MIN_SIZE_IN_IMAGES  # finer levels have them
+
+    def test_small_regions_are_larger_without_images(self, evidence):
+        hierarchy = build_consensus([replace(evidence, images=None, occlusions=None)], load_boundary_model())
+        of_piece = hierarchy.segments_of_pieces(hierarchy.default)
+        touches = of_piece[evidence.pairs[:, of_piece[evidence.pairs[0]] != of_piece[evidence.pairs[1]]]]
+        assert torch.bincount(of_piece[hierarchy.piece])[touches.unique()].min() >= MIN_SIZE
 
     def test_levels_are_nested_and_end_in_pieces(self, evidence):
         hierarchy = build_consensus([evidence], load_boundary_model())

@@ -37,7 +37,7 @@ from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.masks import MaskLinkage
 from torchjoint.segments.learned.piece_graph import PieceGraph, counted, disjoint_union
 from torchjoint.segments.learned.region_statistics import sum_by
-from torchjoint.segments.learned.small_regions import merges_by_contact
+from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES, merges_by_contact
 
 #: Number of draws; the first one is the cloud itself.
 DRAWS = 3
@@ -157,7 +157,9 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
         if level == default:
             votes = Votes(torch.stack(of_judges), size)
             regions, stays = pieces.grouped(of_piece), None if linkage is None else linkage.confirmed(of_piece)
-            joined = merges_by_contact(regions.pairs, regions.boundaries.num_edges, regions.statistics.size, stays)
+            least = MIN_SIZE if pieces.images is None or linkage is not None else MIN_SIZE_IN_IMAGES
+            count = regions.boundaries.num_edges
+            joined = merges_by_contact(regions.pairs, count, regions.statistics.size, stays, least)
             merges.add(of_piece, joined, torch.full((joined.shape[1],), level, dtype=torch.float64), level)
             of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
         below = level

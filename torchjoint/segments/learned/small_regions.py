@@ -13,11 +13,14 @@ from torchjoint import ops
 from torchjoint.runtime.groups import first_places
 from torchjoint.segments.learned.region_statistics import sum_by
 
-#: A region of fewer points is small. Networks do not detect smaller objects reliably, and leave such remains.
-MIN_SIZE = 50
+#: A region of fewer points is small: without images, and with masks, because networks leave such remains; with images,
+#: whose contours tell small things from remains.
+MIN_SIZE, MIN_SIZE_IN_IMAGES = 50, 15
 
 
-def merges_by_contact(ends: Tensor, count: Tensor, size: Tensor, stays: Tensor | None = None) -> Tensor:
+def merges_by_contact(
+    ends: Tensor, count: Tensor, size: Tensor, stays: Tensor | None = None, min_size: int = MIN_SIZE
+) -> Tensor:
     """Merges each small region with the neighbour to which most edges lead, until no small region has a neighbour.
 
     Of neighbours with equally many edges, the one with the lowest number counts.
@@ -27,6 +30,7 @@ def merges_by_contact(ends: Tensor, count: Tensor, size: Tensor, stays: Tensor |
         count: [B] int64, edges of each boundary.
         size: [R] points of each region.
         stays: optional [R] bool; a group with such a region is never small.
+        min_size: points; smaller regions are small.
 
     Returns:
         [2, M] int64, for each merge the lowest regions of the two groups; M < R.
@@ -34,7 +38,7 @@ def merges_by_contact(ends: Tensor, count: Tensor, size: Tensor, stays: Tensor |
     num_regions, group, merges = len(size), torch.arange(len(size)), [ends.new_empty(2, 0)]
     ends, count = torch.cat([ends, ends.flip(0)], 1), count.repeat(2)
     while True:
-        is_small = sum_by(group, size, num_regions) < MIN_SIZE
+        is_small = sum_by(group, size, num_regions) < min_size
         if stays is not None:
             is_small[group[stays]] = False
         first, second = group[ends]
