@@ -257,9 +257,10 @@ class Viewer:
             self._cloud.light(client.scene, name, point, members)
 
     def _on_camera(self, client: Any) -> None:
-        fitted_at, aspect = self._fitted.get(client.client_id, (None, 0.0))
-        if fitted_at is None or (aspect != client.camera.aspect and np.allclose(fitted_at, client.camera.position)):
-            self._show_all(client)  # as long as nobody has turned it
+        fitted_at, aspect = self._fitted.get(client.client_id, (client.camera.position, 0.0))
+        is_there = np.abs(fitted_at - client.camera.position).max() < 1e-3 * self._distance
+        if is_there and aspect != client.camera.aspect:  # nobody has turned it
+            self._show_all(client)
         self._cloud.look_from(client.camera.position)
         if abs(self._standing.get(client.client_id, client.camera.wxyz) @ client.camera.wxyz) < 0.9999:
             del self._standing[client.client_id]
