@@ -74,8 +74,8 @@ def blocks_of(points: Floats, most: int = BLOCK) -> list[npt.NDArray[np.int64]]:
             blocks.append(block)
             continue
         own = points[block]
-        order = np.argsort(own[:, int(np.argmax(np.ptp(own, axis=0)))], kind="stable")
-        half = len(order) // 2
+        half = len(block) // 2
+        order = np.argpartition(own[:, int(np.argmax(np.ptp(own, axis=0)))], half)
         todo += [block[order[half:]], block[order[:half]]]
     return blocks
 
