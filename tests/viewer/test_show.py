@@ -96,7 +96,7 @@ def test_a_page_for_the_network_says_so(run, out, monkeypatch, capsys):
     assert "--host" not in capsys.readouterr().out
     run("show", out, "--no-open-browser", "--port", 8990, "--host", "0.0.0.0")
     text = capsys.readouterr().out
-    assert "--host 0.0.0.0: whoever gets the address below from this network sees this result, and may change" in text
+    assert "--host 0.0.0.0: whoever has the address below in this network sees this result, and may change" in text
     assert re.search(r"http://localhost:899\d/\S{32}/\n", text)
     assert "Websocket" not in text  # viser's own addresses, which are refused
 

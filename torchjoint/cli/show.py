@@ -12,7 +12,7 @@ from dataclasses import replace
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 import tyro
@@ -83,7 +83,8 @@ def show(
         _write_static(page, result, out if is_folder else None, granularity, direction)
     else:
         encoder = None if text_encoder is None else _text_encoder(text_encoder, result)
-        _serve(result, out if is_folder else None, granularity, direction, host, port, open_browser, encoder)
+        view = {"granularity": granularity, "up": direction, "host": host, "port": port}
+        _serve(result, out if is_folder else None, encoder, open_browser, **view)
 
 
 def live_view(now: bool) -> LiveView | None:
@@ -151,23 +152,15 @@ def _write_static(
 
 
 def _serve(
-    result: Result,
-    folder: Path | None,
-    granularity: float | None,
-    up: Tensor | None,
-    host: str,
-    port: int,
-    open_browser: bool,
-    text_encoder: Callable[[str], Tensor] | None,
+    result: Result, folder: Path | None, encoder: Callable[[str], Tensor] | None, open_browser: bool, **view: Any
 ) -> None:
     from torchjoint.viewer.app import Viewer
     from torchjoint.viewer.server import is_loopback
     from torchjoint.viewer.shown import Shown
 
-    if not is_loopback(host):
-        say(f"--host {host}: whoever gets the address below from this network sees this result, and may change it")
-    shown = Shown(folder, text_encoder=text_encoder)
-    viewer = Viewer(result, shown, granularity=granularity, up=up, host=host, port=port)
+    if not is_loopback(view["host"]):
+        say(f"--host {view['host']}: whoever has the address below in this network sees this result, and may change it")
+    viewer = Viewer(result, Shown(folder, text_encoder=encoder), **view)
     _open_page(viewer.url, open_browser)
     serve_until_interrupted(viewer)
 

@@ -66,10 +66,7 @@ class BuildStableExtension(build_ext):
         ext.library_dirs += [str(root / "lib")]
         # `import torch` comes first and loads libtorch_cpu and libc10, so no rpath to a build folder is needed.
         ext.libraries += ["torch_cpu", "c10"]
-        ext.define_macros += [
-            ("TORCH_TARGET_VERSION", TORCH_TARGET_VERSION),
-            ("Py_LIMITED_API", PYTHON_LIMITED_API),
-        ]
+        ext.define_macros += [("TORCH_TARGET_VERSION", TORCH_TARGET_VERSION), ("Py_LIMITED_API", PYTHON_LIMITED_API)]
         if self.compiler.compiler_type == "msvc":
             use_clang_cl(self.compiler)
             ext.extra_compile_args += [*CLANG_CL_FLAGS, *(f"/imsvc{path}" for path in includes)]

@@ -32,12 +32,7 @@ def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
 
 
 def point_instances(
-    segments_file: Path,
-    objects_file: Path,
-    num_points: int,
-    *,
-    smallest: bool = False,
-    among: Set[int] | None = None,
+    segments_file: Path, objects_file: Path, num_points: int, *, smallest: bool = False, among: Set[int] | None = None
 ) -> Tensor:
     """Reads [N] int64, the objectId of each vertex of a mesh; -1 = none.
 

@@ -189,11 +189,7 @@ class StructuredForestBoundary(nn.Module):
     """
 
     def __init__(
-        self,
-        model: str | Path | None = None,
-        scales: Sequence[float] = (1.0,),
-        nms: bool = False,
-        stride: int = 2,
+        self, model: str | Path | None = None, scales: Sequence[float] = (1.0,), nms: bool = False, stride: int = 2
     ) -> None:
         super().__init__()
         if stride not in (2, 4):

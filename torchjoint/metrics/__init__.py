@@ -28,11 +28,7 @@ from torchjoint.metrics.objects_and_parts import (
 )
 from torchjoint.metrics.overlaps import SegmentationCovering, mean_best_iou, segmentation_covering
 from torchjoint.metrics.scannet import AveragePrecision, scannet_average_precision
-from torchjoint.metrics.superpoints import (
-    achievable_segmentation_accuracy,
-    boundary_recall,
-    undersegmentation_error,
-)
+from torchjoint.metrics.superpoints import achievable_segmentation_accuracy, boundary_recall, undersegmentation_error
 from torchjoint.runtime.messages import needed_for
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ const light = unpack(data.light); // of the points, 0 to 255
 const palette = unpack(data.palette); // RGB of each id
 const own = Object.fromEntries(Object.entries(data.own).map(([name, colors]) => [name, unpack(colors)])); // RGB of points
 const levels = data.levels.map((one) => ({ ids: unpack(one.ids), count: one.count, names: one.names }));
+const pale = matchMedia("(prefers-color-scheme: dark)").matches ? 30 : 200; // what is not selected, nearly the background
 let selected = null; // an id
 let pictures = [];
 
@@ -24,7 +25,7 @@ function paintCloud() {
     const [from, at] = colors ? [colors, 3 * point] : [palette, 3 * id];
     const shade = mode.value === "colours" ? 1 : light[point] / 255;
     const rgb = [0, 1, 2].map((k) => from[at + k] * shade);
-    const faded = selected === null || selected === id ? rgb : rgb.map((value) => 0.15 * value + 200);
+    const faded = selected === null || selected === id ? rgb : rgb.map((value) => 0.15 * value + pale);
     return `rgb(${faded.map(Math.round).join()})`;
   });
   const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;"); // Plotly reads tags
@@ -105,6 +106,15 @@ window.addEventListener("pointerup", (event) => {
   pressed = null;
   if (!moved && under !== null) select(now().ids[pieces[under]]);
 }, true);
+// The cloud takes what the other elements leave, and fits in portrait, too.
+const { eye } = plot._fullLayout.scene.camera;
+Plotly.Plots.resize(plot).then(() => {
+  const away = Math.max(1, plot.clientHeight / plot.clientWidth);
+  const [x, y, z] = [eye.x, eye.y, eye.z].map((value) => away * value);
+  const side = Math.min(plot.clientHeight, plot.clientWidth);
+  Plotly.restyle(plot, { "marker.size": Math.max(1.8, (1.2 * side) / Math.sqrt(pieces.length)) }); // no gaps
+  return Plotly.relayout(plot, { "scene.camera.eye": { x, y, z } });
+});
 paint();
 Promise.all(Array.from(document.querySelectorAll("canvas.picture"), readPicture)).then((read) => {
   pictures = read;

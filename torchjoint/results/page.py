@@ -35,7 +35,7 @@ from torchjoint.scene.scene import evenly_spaced_indices
 MOST_POINTS, MOST_IMAGES, HEIGHT = 100_000, 8, 150
 #: Granularities that the page offers beside the shown level.
 LEVELS = [step / 10 for step in range(11)]
-SCRIPT = Path(__file__).with_name("page.js")
+SCRIPT, STYLE = (Path(__file__).with_name(f"page.{kind}") for kind in ("js", "css"))
 
 
 @on_cpu()
@@ -65,24 +65,20 @@ def write_page(path: Path, result: Result, up: Tensor | None = None, edits: Edit
         "own": {name: _packed(rgb) for name, rgb in own.items()},
         "levels": levels,
     }
-    plot = _figure(scene, keep, upward).to_html(
-        include_plotlyjs=True, full_html=False, default_height="calc(100vh - 230px)"
-    )
+    plot = _figure(scene, keep, upward).to_html({"responsive": True, "displayModeBar": False}, full_html=False)
     strip = "".join(_picture(parts, i) for i in evenly_spaced_indices(len(result.images), MOST_IMAGES))
     modes = "".join(f"<option>{name}</option>" for name in ("segments", *own))
     name, count = escape(printable(f"{scene.name}: " if scene.name else "")), f"{levels[first]['count']} segments"
     text = json.dumps(data).replace("<", "\\u003c")  # no name ends the script
     write_text(
         path,
-        f'<!DOCTYPE html><html><head><meta charset="utf-8"><title>{name}{count}, {points}</title></head>'
-        '<body style="margin:0;font-family:sans-serif">'
-        '<div style="padding:6px;display:flex;flex-wrap:wrap;gap:2px 16px;white-space:nowrap">'
-        f'<span>{name}<span id="count">{count}</span>, {points}</span>'
+        f'<!DOCTYPE html><html><head><meta charset="utf-8"><title>{name}{count}, {points}</title>'
+        f'<meta name="viewport" content="width=device-width"><style>{STYLE.read_text(encoding="utf-8")}</style></head>'
+        f'<body><header><span>{name}<span id="count">{count}</span>, {points}</span>'
         f'<label>Colour by <select id="mode">{modes}</select></label>'
         f'<label{" hidden" if len(levels) == 1 else ""}>coarse <input id="level" type="range" min="0" '
         f'max="{len(levels) - 1}" value="{first}" autocomplete="off"> fine</label><b id="told"></b>'
-        f'<button id="clear" hidden>Clear selection</button></div>{plot}'
-        f'<div style="display:flex;overflow-x:auto;gap:4px;padding:4px">{strip}</div>'
+        f'<button id="clear" hidden>Clear selection</button></header>{plot}<footer>{strip}</footer>'
         f'<script id="data" type="application/json">{text}</script>'
         f"<script>{SCRIPT.read_text(encoding='utf-8')}</script></body></html>\n",
     )
@@ -123,7 +119,7 @@ def _figure(scene: Scene, keep: Tensor, up: npt.NDArray[np.float64]) -> Any:
     figure.update_layout(
         scene={"aspectmode": "data", "camera": {"eye": eye_at}}
         | {axis: {"visible": False} for axis in ("xaxis", "yaxis", "zaxis")},
-        margin={"l": 0, "r": 0, "t": 0, "b": 0}, showlegend=False,
+        margin={"l": 0, "r": 0, "t": 0, "b": 0}, showlegend=False, paper_bgcolor="rgba(0,0,0,0)",
     )  # fmt: skip
     return figure
 
@@ -168,7 +164,7 @@ def _picture(parts: Parts, index: int) -> str:
     sources = "".join(f'<img src="data:image/{kind};base64,{data}">' for kind, data in (
         ("jpeg", _encoded(photo, "jpeg", quality=80)), ("png", _encoded(code, "png", optimize=True)),
     ))  # fmt: skip
-    return f'<canvas class="picture" title="{name}" style="cursor:crosshair">{sources}</canvas>'
+    return f'<canvas class="picture" title="{name}">{sources}</canvas>'
 
 
 def _encoded(image: Image.Image, kind: str, **options: Any) -> str:

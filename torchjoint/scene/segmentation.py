@@ -18,11 +18,7 @@ from torchjoint.scene.scene import Scene
 
 
 def level_images(
-    images: Sequence[Tensor],
-    num_before: int,
-    table: Tensor,
-    num_after: int,
-    pieces: Sequence[Tensor] | None = None,
+    images: Sequence[Tensor], num_before: int, table: Tensor, num_after: int, pieces: Sequence[Tensor] | None = None
 ) -> LazySequence[Tensor]:
     """Label images with the labels of another level, or with other numbers: [H, W] int64, computed at each access.
 

@@ -22,7 +22,7 @@ from torchjoint.viewer.html import PREFIX, found_html, image_html, note_html, pa
 from torchjoint.viewer.model import Model, export_selected
 from torchjoint.viewer.painting import RelationLines, painted, point_colors
 from torchjoint.viewer.panel import RESET, Panel
-from torchjoint.viewer.server import Cameras, Viewpoint, add_camera, start_server, viewpoint
+from torchjoint.viewer.server import Cameras, Viewpoint, add_camera, behind, fitted, ray_of, start_server, viewpoint
 from torchjoint.viewer.shown import Shown
 
 
@@ -64,6 +64,8 @@ class Viewer:
         self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save, self._has_stopped = "points", True, False
         self._made = self._saved.steps  # the corrections after the last action
+        self._fitted: dict[int, tuple[Any, float]] = {}  # where a page saw the whole cloud, and its aspect
+        self._standing: dict[int, Any] = {}  # orientations of pages that stand at a camera, before its photo
         self._workers: list[threading.Thread] = []
         _at_end(weakref.WeakMethod(self._end_work))
         self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
@@ -153,7 +155,7 @@ class Viewer:
         def changes(change: Any) -> Any:
             return lambda _: self._guarded(self._change, change)
 
-        panel.bridge.on_update(then(self._on_event))
+        panel.bridge.on_update(lambda event: self._guarded(self._on_event, event.client))
         panel.mode.on_update(changes(lambda: setattr(self.model, "mode", panel.mode.value)))
         panel.name.on_update(then(self._on_name))
         panel.relations.on_update(then(self._draw_relations))
@@ -168,6 +170,7 @@ class Viewer:
         panel.save.on_click(then(self._on_save))
         panel.view.on_click(lambda event: self._guarded(self._on_view, event.client))
         panel.size.on_update(lambda _: self._cloud.resize(panel.size.value))
+        panel.front.on_update(then(self._cut_front))
         if panel.level is not None:
             panel.level.on_update(changes(lambda: self.model.set_granularity(panel.level.value)))
         if panel.parameters:
@@ -191,7 +194,7 @@ class Viewer:
 
         @self.server.on_client_connect
         def _(client: Any) -> None:
-            client.camera.on_update(lambda camera: self._guarded(self._cloud.look_from, camera.position))
+            client.camera.on_update(lambda _: self._guarded(self._on_camera, client))
 
     # Reactions to events
 
@@ -212,11 +215,16 @@ class Viewer:
         for client in self.server.get_clients().values():
             client.add_notification("torchjoint", printable(text), color=color, auto_close_seconds=6.0)
 
-    def _on_event(self) -> None:
+    def _on_event(self, client: Any) -> None:
         kind, *values = self._panel.bridge.value.removeprefix(PREFIX).split()[:-1] or [""]  # the last word is the time
         if kind == "sort":
             self._order = values[0]
             self._draw_table()
+        elif kind == "dark":
+            client.gui.configure_theme(dark_mode=values[0] == "1", show_logo=False, show_share_button=False)
+            self.model.pale = 40.0 if values[0] == "1" else 235.0
+        elif kind == "hover":
+            self._on_hover(client, [*map(float, values)])
         elif kind == "row":
             self._choose(self.model.segment_of_key(int(values[0])), values[1] == "1")
         elif kind == "image":
@@ -237,6 +245,32 @@ class Viewer:
         else:
             self._choose(None if point is None else int(self.model.table[self.model.parts.of_point[point]]), more)
 
+    def _on_hover(self, client: Any, place: list[float]) -> None:
+        """Lights up what is under the mouse, which rests at a place of the canvas, [2] shares; []: it is elsewhere."""
+        ray = ray_of(client.camera, *place) if place else None
+        point = None if ray is None else pick_point(self.result.scene.points.numpy(), *ray, 0.5 * self._cloud.size)
+        self._cloud.unlight()
+        if point is not None:
+            segments = self.model.table[self.model.parts.of_point]
+            members = np.flatnonzero((segments == segments[point]) & ~np.isin(segments, self.model.selected))
+            name = f"{self.model.key(segments[point])} {self.model.names.get(segments[point], '')}"
+            self._cloud.light(client.scene, name, point, members)
+
+    def _on_camera(self, client: Any) -> None:
+        fitted_at, aspect = self._fitted.get(client.client_id, (client.camera.position, 0.0))
+        is_there = np.abs(fitted_at - client.camera.position).max() < 1e-3 * self._distance
+        if is_there and aspect != client.camera.aspect:  # nobody has turned it
+            self._show_all(client)
+        self._cloud.look_from(client.camera.position)
+        if abs(self._standing.get(client.client_id, client.camera.wxyz) @ client.camera.wxyz) < 0.9999:
+            del self._standing[client.client_id]
+            client.scene.set_background_image(None)
+            self._cloud.resize(self._panel.size.value)
+
+    def _cut_front(self) -> None:
+        for client in self.server.get_clients().values():
+            client.camera.near = max(0.01, 2 * self._panel.front.value * self._distance)
+
     def _change(self, change: Callable[[], object]) -> None:
         """Changes the model, and draws what it is now."""
         change()
@@ -245,7 +279,7 @@ class Viewer:
     def _choose(self, segment: int | None, more: bool) -> None:
         """Selects a segment; with shift, adds it to the selection or removes it. None clears the selection."""
         before = self.model.selected
-        if not more:
+        if not (more or self._panel.several.value):
             self._select(() if segment is None else (segment,))
         elif segment is not None:
             self._select(tuple(s for s in before if s != segment) if segment in before else (*before, segment))
@@ -268,10 +302,16 @@ class Viewer:
         if self._panel.view.value != RESET:
             self._select(())
             return
-        first = self.server.initial_camera
+        self._show_all(client)
+
+    def _show_all(self, client: Any) -> None:
+        """Shows the whole cloud, as large as the canvas allows."""
+        fov = self.server.initial_camera.fov
+        position, target = fitted(self.result.scene, self.model.up, fov, client.camera.aspect)
+        self._fitted[client.client_id] = position, client.camera.aspect
         with client.atomic():
-            client.camera.up_direction, client.camera.fov = self.model.up, first.fov
-            client.camera.position, client.camera.look_at = first.position, first.look_at
+            client.camera.up_direction, client.camera.fov = self.model.up, fov
+            client.camera.position, client.camera.look_at = position, target
 
     def _on_frame(self) -> None:
         self._draw_image()
@@ -337,9 +377,14 @@ class Viewer:
         client.send_file_download(*export_selected(self.model, self._panel.export.value), save_immediately=True)
 
     def _stand_at(self, index: int, client: Any) -> None:
-        view = viewpoint(self.result.scene.frames[index])
+        frame = self.result.scene.frames[index]
+        view, aspect = viewpoint(frame), client.camera.aspect
+        fov = 2 * np.arctan(np.tan(view.fov / 2) * max(1, view.aspect / aspect))  # the whole photo fits
         with client.atomic():
-            client.camera.wxyz, client.camera.position, client.camera.fov = view.wxyz, view.position, view.fov
+            client.camera.wxyz, client.camera.position, client.camera.fov = view.wxyz, view.position, fov
+        client.scene.set_background_image(behind(painted(self.model, index, 0.0), aspect))
+        self._standing[client.client_id] = view.wxyz
+        self._cloud.resize(0.3 * self._panel.size.value)  # the photo is seen between the points
         if self._frame_index() != index:
             self._panel.frame.value = index  # which draws the image
 
@@ -347,8 +392,10 @@ class Viewer:
         return min(int(self._panel.frame.value), len(self.result.scene.frames) - 1)
 
     def _draw(self) -> None:
+        self._cloud.unlight()
         self._cloud.recolor(point_colors(self.model))
         self._cloud.mark(self.model.clicks)
+        self._panel.legend.visible = self.model.mode == "confidence"
         self._panel.name.value = self._selected_name()
         self._draw_lists()
         self._draw_relations()

@@ -36,11 +36,11 @@ def pick_point(points: Floats, origin: Floats, direction: Floats, radius: float)
     return int(first[np.argmin(across[first])])
 
 
-#: Largest numbers of points: in the sample, which is always drawn; in a block; drawn at the same time.
-SAMPLE, BLOCK, BUDGET = 400_000, 60_000, 1_600_000
-
-#: Radius of the ball at a click, in sizes of a point.
-MARK = 4.0
+#: Largest numbers of points: in the sample, which is always drawn; in a block; drawn at the same time; lit by hovering.
+SAMPLE, BLOCK, BUDGET, LIT = 400_000, 60_000, 1_600_000, 30_000
+SIGNS = ("\N{MINUS SIGN}", "+")  #: At a click beside the thing, and on it.
+#: How points are drawn.
+LOOKS = {"point_shape": "circle", "point_shading": "flat", "precision": "float32"}
 
 
 def middle_of(points: Floats) -> Floats:
@@ -48,12 +48,21 @@ def middle_of(points: Floats) -> Floats:
     return points.astype(np.float64).reshape(-1, 3).mean(0).round(-3)
 
 
-def point_spacing(points: Floats) -> float:
-    """The third quartile of the points' distances to their nearest neighbours, metres."""
+def point_radius(points: Floats) -> float:
+    """The radius, metres, with which points cover their surface: by the distance of the eighth neighbour.
+
+    The first ones of a LiDAR's point are all on its own line, and there would be stripes.
+    """
     if len(points) < 2:
         return 0.01
-    distances = cKDTree(points).query(points[:: max(1, len(points) // 2000)], k=2)[0][:, 1]
-    return max(float(np.quantile(distances, 0.75)), 1e-6)
+    distances = cKDTree(points).query(points[:: max(1, len(points) // 500)], k=min(9, len(points)))[0][:, -1]
+    return max(0.6 * float(np.quantile(distances, 0.75)), 1e-6)
+
+
+def block_radii(points: Floats, blocks: Sequence[npt.NDArray[np.int64]]) -> Floats:
+    """The radius of the points of each block; at most three times the usual one, which few far points would have."""
+    radii = np.array([point_radius(points[block]) for block in blocks])
+    return np.minimum(radii, 3 * np.median(radii))
 
 
 def blocks_of(points: Floats, most: int = BLOCK) -> list[npt.NDArray[np.int64]]:
@@ -65,8 +74,8 @@ def blocks_of(points: Floats, most: int = BLOCK) -> list[npt.NDArray[np.int64]]:
             blocks.append(block)
             continue
         own = points[block]
-        order = np.argsort(own[:, int(np.argmax(np.ptp(own, axis=0)))], kind="stable")
-        half = len(order) // 2
+        half = len(block) // 2
+        order = np.argpartition(own[:, int(np.argmax(np.ptp(own, axis=0)))], half)
         todo += [block[order[half:]], block[order[:half]]]
     return blocks
 
@@ -82,37 +91,49 @@ class CloudView:
 
     def __init__(self, server: Any, points: Floats, colors: Bytes) -> None:
         self._server, self._points, self._colors = server, points, colors
-        self._origin = middle_of(points)
-        self.size = 1.2 * point_spacing(points)
-        everything = np.random.default_rng(0).permutation(len(points))
-        self._parts = [everything[:SAMPLE]]
-        rest = everything[SAMPLE:]
-        self._parts += [rest[block] for block in blocks_of(points[rest])] if len(rest) else []
-        self._centers = np.array([points[part].mean(0) for part in self._parts[1:]]).reshape(-1, 3)
+        self._origin, self._factor = middle_of(points), 1.0
+        of_sample, generator = min(1.0, SAMPLE / max(len(points), 1)), np.random.default_rng(0)
+        blocks = blocks_of(points, min(BLOCK, max(len(points) // 16, 1000)))
+        self._parts: list[npt.NDArray[np.int64]] = []  # of each block its part of the sample, and the rest
+        for block in map(generator.permutation, blocks):
+            self._parts += np.split(block, [int(np.ceil(of_sample * len(block)))])
+        self._whole = block_radii(points, blocks)
+        self._sparse = block_radii(points, self._parts[::2]) if of_sample < 1 else self._whole
+        self.size = float(np.median(self._whole))
+        self._centers = np.array([points[block].mean(0) for block in blocks]).reshape(-1, 3)
         self._current: set[int] = set()  # parts whose colours are up to date
-        self._shown = {0}
+        self._near: set[int] = set()  # blocks of which all points are shown
         self._handles: dict[int, Any] = {}
         self._marks: list[Any] = []
+        self._lit: list[Any] = []
         self._draw()
 
     def remove(self) -> None:
         """Removes the points from the page."""
-        for handle in (*self._handles.values(), *self._marks):
+        for handle in (*self._handles.values(), *self._marks, *self._lit):
             handle.remove()
 
     def mark(self, clicks: Sequence[tuple[int, bool]]) -> None:
-        """Draws a ball at each clicked point: green on the thing, red beside it."""
+        """Writes a sign at each clicked point: + on the thing, - beside it."""
         for handle in self._marks:
             handle.remove()
         self._marks = [
-            self._server.scene.add_icosphere(
-                f"/click/{index}",
-                MARK * self.size,
-                (0, 150, 60) if belongs else (210, 30, 30),
-                position=self._points[point],
-            )
+            self._server.scene.add_label(f"/click/{index}", SIGNS[belongs], position=self._points[point])
             for index, (point, belongs) in enumerate(clicks)
         ]
+
+    def light(self, scene: Any, name: str, point: int, members: npt.NDArray[np.int64]) -> None:
+        """Lights a thing up on the page of one client, `scene`, and writes its name at one of its points."""
+        shown = members[:: -(-len(members) // LIT) or 1]
+        colors = (255 - 0.5 * (255.0 - self._colors[shown])).astype(np.uint8)
+        label = scene.add_label("/name", name, position=self._points[point], anchor="bottom-center")
+        self._lit = [label, self._add(scene, "/lit", shown, colors, 1.1 * self._factor * self.size)]
+
+    def unlight(self) -> None:
+        """Takes back what :meth:`light` drew."""
+        for handle in self._lit:
+            handle.remove()
+        self._lit = []
 
     def recolor(self, colors: Bytes) -> None:
         """Changes the colours; those of hidden blocks change when the blocks are shown."""
@@ -121,36 +142,34 @@ class CloudView:
 
     def resize(self, factor: float) -> None:
         """Sets the drawn size of points, as a multiple of the default."""
-        for handle in self._handles.values():
-            handle.point_size = factor * self.size
+        self._factor = factor
+        self._draw()
 
     def look_from(self, position: npt.NDArray[np.float64]) -> None:
         """Shows all points of the blocks nearest to a position, up to the largest number of drawn points."""
         order = np.argsort(((self._centers - position) ** 2).sum(1), kind="stable")
-        room = max(0, BUDGET - SAMPLE) // BLOCK
-        shown = {0, *(int(index) + 1 for index in order[:room])}
-        if shown != self._shown:
-            self._shown = shown
+        rest = np.cumsum([len(self._parts[2 * index + 1]) for index in order.tolist()])
+        near = {*order[rest <= BUDGET - SAMPLE].tolist()}
+        if near != self._near:
+            self._near = near
             self._draw()
+
+    def _add(self, scene: Any, name: str, part: npt.NDArray[np.int64], colors: Bytes, size: float) -> Any:
+        at = self._points[part] - self._origin
+        return scene.add_point_cloud(name, at, colors, position=self._origin, point_size=size, **LOOKS)
 
     def _draw(self) -> None:
         for index, part in enumerate(self._parts):
-            handle, visible = self._handles.get(index), index in self._shown
-            if handle is not None and handle.visible != visible:
-                handle.visible = visible
-            if not visible or index in self._current:
+            block, handle = index // 2, self._handles.get(index)
+            visible = index % 2 == 0 or block in self._near
+            size = self._factor * float((self._whole if block in self._near else self._sparse)[block])
+            if handle is not None and (handle.visible, handle.point_size) != (visible, size):
+                handle.visible, handle.point_size = visible, size
+            if not visible or index in self._current or not len(part):
                 continue
             if handle is None:
-                self._handles[index] = self._server.scene.add_point_cloud(
-                    f"/cloud/{index}",
-                    self._points[part] - self._origin,
-                    self._colors[part],
-                    position=self._origin,
-                    point_size=self._handles[0].point_size if index else self.size,
-                    point_shape="circle",
-                    point_shading="flat",
-                    precision="float32",
-                )
+                name = f"/cloud/{index}"
+                self._handles[index] = self._add(self._server.scene, name, part, self._colors[part], size)
             else:
                 handle.colors = self._colors[part]
             self._current.add(index)

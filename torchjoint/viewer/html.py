@@ -1,8 +1,4 @@
-"""Elements of the viewer's panel that viser lacks: an image and a table that can be clicked.
-
-A click writes a line, such as ``torchjoint:image 12 80 0``, into a hidden text field. Viser sends the text to the
-server.
-"""
+"""Elements of the viewer's panel that viser lacks: a photo and a table that can be clicked; page.js sends clicks."""
 
 from __future__ import annotations
 
@@ -10,31 +6,27 @@ import base64
 import io
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
 
+import torch
 from PIL import Image
 
+from torchjoint.results.render import label_colors
 from torchjoint.runtime.messages import printable
 from torchjoint.viewer.measures import Row
 from torchjoint.viewer.model import Bytes
 
 PREFIX = "torchjoint:"
-#: JavaScript that finds the text field in any layout and writes into it with the events of a typing user.
-_SEND = (
-    "const i=[...document.querySelectorAll('input')].find(e=>e.value.startsWith('" + PREFIX + "'));"
-    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call("
-    "i,'" + PREFIX + "'+line+' '+Date.now());"
-    "i.dispatchEvent(new Event('input',{bubbles:true}));"
-)
-#: It hides the text field and the ends of sliders, over which their handles lie, and moves tooltips beside the panel.
-STYLE = (
-    f"<style>.mantine-Flex-root:has(input[value^='{PREFIX}']),.mantine-Slider-markWrapper,.mantine-Tooltip-arrow"
-    "{display:none}.mantine-Tooltip-tooltip{translate:-22rem 2rem}"
-    ".mantine-Notification-description{white-space:normal;overflow-wrap:anywhere}</style>"
-)
-#: Style of text, with the margin of viser's own elements.
-_TEXT = "font-size:12px;padding:0 8px"
-NOTHING = "Click a segment in the cloud or in the image; hold shift to select several."
-COLUMNS = ("id", "name", "points", "size", "frames")
+NOTHING = "Click or tap a segment in the cloud or in the photo; with shift: several."
+LEGEND = '<div class="tj" style="display:flex;gap:6px">no object 0 %<span class="tj-scale"></span>100 % an object</div>'
+COLUMNS = ("id", "name", "points", "size", "frames", "sure")
+
+
+def page_html(name: str) -> str:
+    """The style and the script of the page; `name`: of the scene, for the tab's title."""
+    style, script = (Path(__file__).with_name(f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
+    names = f'data-name="{escape(printable(name))}" data-script="{escape(script)}"'
+    return f'<style id="tj-page" {names} onload="(0,eval)(dataset.script)">{style}</style>'
 
 
 def image_html(image: Bytes, caption: str) -> str:
@@ -42,75 +34,70 @@ def image_html(image: Bytes, caption: str) -> str:
     stream, caption = io.BytesIO(), escape(printable(caption))
     Image.fromarray(image).save(stream, "jpeg", quality=88)
     data = base64.b64encode(stream.getvalue()).decode("ascii")
-    position = (
-        "const r=this.getBoundingClientRect();"
-        f"const line='image '+Math.floor((event.clientX-r.left)/r.width*{image.shape[1]})+' '"
-        f"+Math.floor((event.clientY-r.top)/r.height*{image.shape[0]})+' '+(event.shiftKey?1:0);"
-    )
     return (
-        f'<div style="{_TEXT}">{caption}</div>'  # a tooltip would cover what is aimed at
-        f'<img id="tj-image" alt="{caption}" src="data:image/jpeg;base64,{data}" '
-        f'style="width:100%;cursor:crosshair;display:block;margin-bottom:8px" onclick="{position}{_SEND}">'
+        f'<div class="tj">{caption}</div>'  # a tooltip would cover what is aimed at
+        f'<img id="tj-image" alt="{caption}" src="data:image/jpeg;base64,{data}">'
     )
 
 
 def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[int]) -> str:
     """The table of segments; a click on a row sends `row KEY SHIFT`, on a column's head `sort COLUMN`."""
-    has_frames = any(row.frames is not None for row in rows)  # False without images, and before they were counted
-    heads = "".join(
-        f'<th style="text-align:left;cursor:pointer" onclick="const line=\'sort {column}\';{_SEND}">'
-        f"{column}{' ▾' if column == order else ''}</th>"
-        for column in COLUMNS[: None if has_frames else -1]
-    )
+    hidden = {name for name in ("frames", "sure") if all(getattr(row, name) is None for row in rows)}
+    columns = [column for column in COLUMNS if column not in hidden]
+    heads = "".join(f'<th data-sort="{name}">{name}{" ▾" if name == order else ""}</th>' for name in columns)
+    colors = (label_colors(torch.tensor([row.key for row in rows], dtype=torch.int64)) * 255).int().tolist()
     lines = []
-    for row in rows:
-        # Where it would be scrolled away, a selected row stays at the edge of the list.
-        style = "background:#ffe08a;color:#000;position:sticky;top:0;bottom:0;" if row.key in selected else ""
-        size = " × ".join(f"{value:.2f}" for value in row.size)
-        cells = "".join(
-            f"<td>{cell}</td>"
-            for cell in (row.key, escape(row.name), row.points, size, *([row.frames] if has_frames else []))
-        )
-        send = f"const line='row {row.key} '+(event.shiftKey?1:0);{_SEND}"
-        lines.append(f'<tr data-key="{row.key}" style="cursor:pointer;{style}" onclick="{send}">{cells}</tr>')
-    note = f"{len(rows)} of {count} segments" if len(rows) < count else f"{count} segments"
+    for row, color in zip(rows, colors, strict=True):
+        lit = ' class="tj-lit"' if row.key in selected else ""
+        chip = f'<span class="tj-chip" style="background:rgb({",".join(map(str, color))})"></span>'
+        told = {"id": f"{chip}{row.key}", "name": escape(row.name), "points": row.points, "size": _size(row)}
+        told |= {"frames": row.frames, "sure": _percent(row.sure)}
+        lines.append(f'<tr data-key="{row.key}"{lit}>{"".join(f"<td>{told[name]}</td>" for name in columns)}</tr>')
+    note = f"{len(rows)} of {count} segments; search finds the others" if len(rows) < count else f"{count} segments"
     return (
-        f'<div style="{_TEXT}">{note}; sizes in metres</div>'
-        '<div style="max-height:200px;overflow-y:auto;padding:0 5px">'
-        '<table id="tj-table" style="font-size:12px;width:100%">'
-        f"<thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+        f'<div class="tj">{note}; sizes in metres</div>'
+        '<div style="max-height:260px;overflow-y:auto;padding:0 5px">'
+        f'<table id="tj-table"><thead><tr>{heads}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
     )
+
+
+def _size(row: Row) -> str:
+    return " × ".join(f"{value:.2f}" for value in row.size)
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.0f}\N{NO-BREAK SPACE}%"
 
 
 def note_html(note: str) -> str:
     """A line about a run that is not finished."""
-    return f'<div id="tj-note" style="{_TEXT}">{escape(note)}</div>'
+    return f'<div id="tj-note" class="tj">{escape(note)}</div>'
 
 
 def found_html(found: Sequence[tuple[Row, float]]) -> str:
     """The things that words found, and how well they fit, best first; a click on a line sends `row KEY SHIFT`."""
-    lines = []
-    for row, cosine in found:
-        send = f"const line='row {row.key} '+(event.shiftKey?1:0);{_SEND}"
-        told = f"{cosine:.2f} segment <b>{row.key}</b> {escape(row.name)}"
-        lines.append(f'<div data-found="{row.key}" style="cursor:pointer" onclick="{send}">{told}</div>')
-    return f'<div id="tj-found" style="{_TEXT}">{"".join(lines)}</div>'
+    lines = (
+        f'<div data-found="{row.key}" data-key="{row.key}">'
+        f"{cosine:.2f} segment <b>{row.key}</b> {escape(row.name)}</div>"
+        for row, cosine in found
+    )
+    return f'<div id="tj-found" class="tj">{"".join(lines)}</div>'
 
 
 def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     """Describes the selected segments; `frames`: name and number of pixels of each frame that sees the first one."""
     if not rows:
-        return f'<div id="tj-panel" style="{_TEXT}">{NOTHING}</div>'
+        return f'<div id="tj-panel" class="tj">{NOTHING}</div>'
     parts = []
     for row in rows:
-        size = " × ".join(f"{value:.2f}" for value in row.size)
         name = f" <b>{escape(row.name)}</b>" if row.name else ""
         seen = "" if row.frames is None or len(rows) == 1 else f", seen in {row.frames} frames"
-        parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {size} m{seen}</div>")
+        sure = "" if row.sure is None else f", an object: {_percent(row.sure)}"
+        parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {_size(row)} m{seen}{sure}</div>")
     if len(rows) == 1 and frames:
         listed = ", ".join(f"{escape(printable(name))} ({pixels} px)" for name, pixels in frames)
         parts.append(
             f"<details{' open' if len(frames) < 3 else ''}><summary>seen in {len(frames)} frames</summary>"
             f'<div style="max-height:120px;overflow-y:auto">{listed}</div></details>'
         )
-    return f'<div id="tj-panel" style="{_TEXT}">{"".join(parts)}</div>'
+    return f'<div id="tj-panel" class="tj">{"".join(parts)}</div>'

@@ -5,8 +5,9 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,6 +32,13 @@ from torchjoint.viewer.shown import LiveRun, Shown
 CAMERA = 0.04
 
 
+def _opened(on_open: Callable[[str], object], *arguments: Any, **options: Any) -> Viewer:
+    """A new page, whose address is told."""
+    viewer = Viewer(*arguments, **options)
+    on_open(viewer.url)
+    return viewer
+
+
 class GrowingView:
     """A page that opens with the first result of a :class:`~torchjoint.LiveSegmenter`.
 
@@ -42,7 +50,7 @@ class GrowingView:
     def __init__(self, on_open: Callable[[str], object] = print, *, host: str = "127.0.0.1", port: int = 8080) -> None:
         import_viser()
         self.viewer: Viewer | None = None
-        self._on_open, self._address = on_open, (host, port)
+        self._open = partial(_opened, on_open, host=host, port=port)
 
     def show(self, live: LiveResult, frames: Sequence[Frame], note: str = "") -> None:
         """Shows another result.
@@ -56,9 +64,7 @@ class GrowingView:
         result = Result.of(Segmentation(live.labels, ()), scene)
         if self.viewer is None:
             up = up_direction(Scene(scene.points, frames))
-            host, port = self._address
-            self.viewer = Viewer(result, Shown(is_running=True), up=up, host=host, port=port)
-            self._on_open(self.viewer.url)
+            self.viewer = self._open(result, Shown(is_running=True), up=up)
         else:
             self.viewer.grow(result, Shading(scene.points, self.viewer.model.up))
         self.viewer.tell(note)
@@ -94,7 +100,7 @@ class LiveView:
     ) -> None:
         import_viser()  # so that an error comes at once, not after an hour of fusing a cloud
         self.viewer: Viewer | None = None
-        self._on_open, self._share, self._address = on_open, share, (host, port)
+        self._share, self._open = share, partial(_opened, on_open, host=host, port=port)
         self._next, self._labelled = 0.0, 0
         self._names: tuple[str, ...] = ()
 
@@ -116,9 +122,7 @@ class LiveView:
         result = load_result(folder, edits=False)
         shown = Shown(folder, run)
         if self.viewer is None:
-            host, port = self._address
-            self.viewer = Viewer(result, shown, host=host, port=port)
-            self._on_open(self.viewer.url)
+            self.viewer = self._open(result, shown)
         else:
             self.viewer.open(result, shown)
         return self.viewer
@@ -129,9 +133,7 @@ class LiveView:
         result = Result.of(labels_so_far(segmenter, scene, before, self._names), scene, segmenter.config)
         self._labelled = len(segmenter.state.observations)
         if self.viewer is None:
-            host, port = self._address
-            self.viewer = Viewer(result, Shown(is_running=True), host=host, port=port)
-            self._on_open(self.viewer.url)
+            self.viewer = self._open(result, Shown(is_running=True))
         else:
             self.viewer.replace(result)
 

@@ -8,11 +8,13 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from torchjoint.results.edits import Table
 from torchjoint.results.objects import oriented_box
 from torchjoint.results.parts import Parts
 from torchjoint.runtime.threads import parallel_map
+from torchjoint.scene.hierarchy import Confidence
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Row:
     points: int
     size: tuple[float, float, float]  #: metres, of its upright box
     frames: int | None  #: number of frames that see it; None before all frames were read, and without frames
+    sure: float | None  #: probability that it is an object; None: no judges
 
 
 class Measures:
@@ -42,6 +45,8 @@ class Measures:
         """Changes the table: [P] the segment of each piece."""
         self._table = table
         self._rows: dict[int, Row] = {}
+        self._number = np.unique(table, return_inverse=True)[1]  # of the segment of each piece
+        self.__dict__.pop("confidence", None)  # of the table before
         of_point = table[self._parts.of_point]
         self._order = np.argsort(of_point, kind="stable")
         self._firsts, self._starts, self._counts = np.unique(
@@ -74,6 +79,7 @@ class Measures:
         if segment not in self._rows:
             place = int(np.searchsorted(self._firsts, segment))
             start, count = int(self._starts[place]), int(self._counts[place])
+            sure = self.confidence
             size = oriented_box(self._points[self._order[start : start + count]], self._up).size
             self._rows[segment] = Row(
                 int(self._parts.keys[segment]),
@@ -81,6 +87,7 @@ class Measures:
                 count,
                 (float(size[0]), float(size[1]), float(size[2])),
                 len(self.frames_of(segment)) if self._frames else None,
+                None if sure is None else float(sure.of_segment[self._number[segment]]),
             )
         return replace(self._rows[segment], name=name)
 
@@ -92,9 +99,9 @@ class Measures:
             for first, count in zip(self._firsts.tolist(), self._counts.tolist(), strict=True)
             if not search or search.lower() in names.get(first, "").lower() or search == str(keys[first])
         ]
-        if order in ("size", "frames"):
+        if order in ("size", "frames", "sure"):
             rows = [self.row(first, names.get(first, "")) for first, _ in found]
-            rows.sort(key=lambda row: (-((row.frames or 0) if order == "frames" else np.prod(row.size)), row.key))
+            rows.sort(key=lambda row: (-float(np.prod(getattr(row, order) or 0)), row.key))
             return rows[:most], len(rows)
         sort = {
             "id": lambda one: (0, keys[one[0]]),
@@ -102,6 +109,13 @@ class Measures:
         }.get(order, lambda one: (-one[1], keys[one[0]]))
         found.sort(key=sort)
         return [self.row(first, names.get(first, "")) for first, _ in found[:most]], len(found)
+
+    @cached_property
+    def confidence(self) -> Confidence | None:
+        """That the segments, in ascending order, are objects; None: no judges."""
+        hierarchy = self._parts.result.hierarchy
+        votes = None if hierarchy is None else hierarchy.votes
+        return None if votes is None else votes.confidence(torch.from_numpy(self._number))
 
     @cached_property
     def _points(self) -> npt.NDArray[np.float64]:

@@ -65,6 +65,7 @@ class Model:
         up: [3] upward direction, unit length.
 
     Attributes:
+        pale: grey of what is not selected, 0 to 255; nearly the page's background.
         shading: of the points, once it is computed; without it colours are flat.
         table: [P] the segment of each piece; the number of a segment is that of its first piece.
         names: by segment.
@@ -79,6 +80,7 @@ class Model:
         self.selected: tuple[int, ...] = ()  # first pieces of segments
         self.mode: Mode = "segments"
         self.shading: Shading | None = None
+        self.pale = 235.0
         self.table, self.names = self.parts.table(edits), self.parts.names(edits)
         self.clicks: tuple[Click, ...] = ()
         self._picked: tuple[Edit, ...] = ()  # shown as if it were a correction
@@ -98,7 +100,7 @@ class Model:
             same = np.array_equal(parts.of_point, self.parts.of_point)
             edits = self.edits if same else replace(self.edits, num_pieces=parts.count, steps=())
         model = Model(result, edits, self.up)
-        model.shading = self.shading
+        model.shading, model.pale = self.shading, self.pale
         model.mode = self.mode if self.mode in model.modes else "segments"
         here, there = self.table[self.parts.of_point], model.table[parts.of_point]
         same_place = [int(np.bincount(there[here == segment]).argmax()) for segment in self.selected]
@@ -252,12 +254,12 @@ class Model:
         """The row of a segment in the table."""
         return self.measures.row(segment, self.names.get(segment, ""))
 
-    def rows(self, search: str = "", order: str = "points", most: int = 100) -> tuple[list[Row], int]:
+    def rows(self, search: str = "", order: str = "points", most: int = 1000) -> tuple[list[Row], int]:
         """Returns the first rows of the table that match the search, and the number of all that match.
 
         Args:
             search: part of a name, or an id; empty: all segments.
-            order: points, id, name, size or frames.
+            order: points, id, name, size, frames or sure.
             most: largest number of rows.
         """
         return self.measures.rows(self.names, search, order, most)

@@ -17,8 +17,8 @@ from torchjoint.scene import Scene, Segmentation
 from torchjoint.viewer.cloud import Floats, middle_of
 from torchjoint.viewer.model import Bytes, Model
 
-#: Share of its own colour that an unselected segment keeps; the rest is the light grey of the background.
-FADED, PALE = 0.15, 235.0
+#: Share of its own colour that an unselected segment keeps; the rest is nearly the background.
+FADED = 0.15
 
 
 def piece_colors(model: Model) -> npt.NDArray[np.float64]:
@@ -47,7 +47,7 @@ def point_colors(model: Model) -> Bytes:
         colors = colors * model.shading.of(labels)[:, None]
     if model.selected:
         lit = np.isin(model.table, model.selected)[model.parts.of_point]
-        colors = np.where(lit[:, None], colors, FADED * colors + (1 - FADED) * PALE)
+        colors = np.where(lit[:, None], colors, FADED * colors + (1 - FADED) * model.pale)
     return colors.round().astype(np.uint8)
 
 
@@ -83,13 +83,11 @@ def _truth_image(result: Result, index: int) -> Table:
 
 
 def _confidence_colors(model: Model) -> torch.Tensor:
-    hierarchy = model.result.hierarchy
-    if hierarchy is None or hierarchy.votes is None:
+    if (sure := model.measures.confidence) is None:
         raise ValueError("confidence: expected a result with the votes of judges, got none")
     from matplotlib import colormaps
 
-    sure = hierarchy.votes.confidence(torch.from_numpy(np.unique(model.table, return_inverse=True)[1])).of_piece
-    return torch.from_numpy(colormaps["viridis"](sure.numpy())[:, :3])
+    return torch.from_numpy(colormaps["viridis"](sure.of_piece.numpy())[:, :3])
 
 
 COLORS: dict[Kind, tuple[int, int, int]] = {
@@ -136,10 +134,7 @@ class RelationLines:
 
 
 def lines(
-    found: tuple[Relation, ...],
-    points: Floats,
-    labels: npt.NDArray[np.int64],
-    selected: tuple[int, ...],
+    found: tuple[Relation, ...], points: Floats, labels: npt.NDArray[np.int64], selected: tuple[int, ...]
 ) -> tuple[Floats, Bytes]:
     """The ends [L, 2, 3] of the lines, and their colours [L, 2, 3]; the middle of a segment is the mean of its points.
 

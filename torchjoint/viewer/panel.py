@@ -5,12 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 from torchjoint.results.folder import read_granularity
-from torchjoint.viewer.html import PREFIX, STYLE, panel_html
+from torchjoint.viewer.html import LEGEND, PREFIX, page_html, panel_html
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.shown import Shown
 
 #: The buttons of the group "View".
 RESET, CLEAR = "Reset view", "Clear selection"
+CLICKS = "click: this belongs to it, too; with shift: this does not; Undo takes the last click back"
+CORRECT = "join the selected segments; split the selected one in two; undo joins, splits and names"
+EXPORT = "download the points, the masks (ZIP), or the masks as JSON of the selected segments"
+RELATIONS = "what stands on (green), hangs on (orange), contains (blue), touches (grey) the selected"
+SAVE = "in edits.json; corrections are saved there as they are made"
+FRONT = "hides walls that are in the way"
 
 
 class Panel:
@@ -29,10 +35,11 @@ class Panel:
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()  # beside the cloud, not over it; it can be collapsed
         self.bridge = gui.add_text("events", PREFIX)  # the messages of the elements of html.py
-        gui.add_html(STYLE)
+        gui.add_html(page_html(model.result.scene.name))
         self.note = gui.add_html("", visible=shown.is_running)
         self.view = gui.add_button_group("View", (RESET, CLEAR))
         self.mode = gui.add_dropdown("Colour by", model.modes, initial_value=model.mode)
+        self.legend = gui.add_html(LEGEND, visible=False)
         self.level: Any = None
         if model.result.hierarchy is not None:
             stored = None if shown.folder is None else read_granularity(shown.folder)
@@ -42,24 +49,24 @@ class Panel:
             )
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
+            self.several = gui.add_checkbox("Select several", False, hint="each click adds one, as with shift")
             self._add_clicks(gui, model.result.hierarchy is not None)
             self._add_buttons(gui, shown.folder is not None, not shown.is_running)
-            self.relations = gui.add_checkbox(
-                "Relations",
-                False,
-                visible=not shown.is_running,
-                hint="what stands on (green), hangs on (orange), contains (blue), touches (grey) the selected",
-            )
-        with gui.add_folder("Segments"):
+            self.relations = gui.add_checkbox("Relations", False, visible=not shown.is_running, hint=RELATIONS)
+        pane = gui.add_panel()  # of its own: it is in view, whatever the panel above shows
+        pane.dock_below(gui.main_panel)
+        if len(model.result.scene.frames):
+            with pane.add_tab("Photo"):
+                self._add_image(gui, len(model.result.scene.frames), frame, cameras)
+        with pane.add_tab("Segments"):
             can_find = shown.text_encoder is not None and model.result.saved_embeddings is not None
             self.words = gui.add_text("Words", "", hint="of a thing, such as: a red chair", visible=can_find)
             self.find = gui.add_button("Find the words", color="gray", visible=can_find)
             self.found = gui.add_html("", visible=can_find)
             self.search = gui.add_text("Search", "", hint="a part of a name, or an id")
             self.table = gui.add_html("")
-        if len(model.result.scene.frames):
-            self._add_image(gui, len(model.result.scene.frames), frame, cameras)
         self.size = gui.add_slider("Point size", min=0.2, max=4.0, step=0.1, initial_value=1.0)
+        self.front = gui.add_slider("Cut the front", min=0.0, max=1.0, step=0.02, initial_value=0.0, hint=FRONT)
         self.parameters: dict[str, Any] = {}
         if shown.run is not None:
             with gui.add_folder("Parameters"):
@@ -67,40 +74,22 @@ class Panel:
                 self.compute = gui.add_button("Compute again")
 
     def _add_image(self, gui: Any, count: int, frame: int, cameras: bool) -> None:
-        with gui.add_folder("Images"):
-            self.frame = gui.add_slider(
-                "Frame", min=0, max=max(count - 1, 1), step=1, initial_value=frame, visible=count > 1
-            )
-            self.opacity = gui.add_slider(
-                "Labels", min=0.0, max=1.0, step=0.05, initial_value=0.5, hint="0: the image alone, 1: the labels alone"
-            )
-            self.image = gui.add_html("")
-            self.stand = gui.add_button("Stand at this camera", color="gray")
-            self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
+        self.image = gui.add_html("")
+        self.frame = gui.add_slider(
+            "Frame", min=0, max=max(count - 1, 1), step=1, initial_value=frame, visible=count > 1
+        )
+        self.opacity = gui.add_slider(
+            "Labels", min=0.0, max=1.0, step=0.05, initial_value=0.5, hint="0: the image alone, 1: the labels alone"
+        )
+        self.stand = gui.add_button("Stand at this camera", color="gray")
+        self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
 
     def _add_clicks(self, gui: Any, has_levels: bool) -> None:
-        self.by_clicks = gui.add_checkbox(
-            "Thing from clicks",
-            False,
-            visible=has_levels,
-            hint="click: this belongs to it, too; with shift: this does not; Undo takes the last click back",
-        )
+        self.by_clicks = gui.add_checkbox("Thing from clicks", False, visible=has_levels, hint=CLICKS)
         self.keep = gui.add_button("Make it one thing", visible=False, hint="a segment of its own, at every level")
 
     def _add_buttons(self, gui: Any, can_save: bool, can_export: bool) -> None:
         self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_save)
-        self.correct = gui.add_button_group(
-            "Correct",
-            ("Join", "Split", "Undo"),
-            visible=can_save,
-            hint="join the selected segments; split the selected one in two; undo joins, splits and names",
-        )
-        self.export = gui.add_button_group(
-            "Export",
-            ("PLY", "PNG", "COCO"),
-            visible=can_export,
-            hint="download the points, the masks (ZIP), or the masks as JSON of the selected segments",
-        )
-        self.save = gui.add_button(
-            "Save the level", visible=can_save, hint="in edits.json; corrections are saved there as they are made"
-        )
+        self.correct = gui.add_button_group("Correct", ("Join", "Split", "Undo"), visible=can_save, hint=CORRECT)
+        self.export = gui.add_button_group("Export", ("PLY", "PNG", "COCO"), visible=can_export, hint=EXPORT)
+        self.save = gui.add_button("Save the level", visible=can_save, hint=SAVE)

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image, ImageOps
 from scipy.spatial.transform import Rotation
 
 from torchjoint.results.upright import view_from_above
@@ -20,9 +21,12 @@ from torchjoint.runtime.messages import needed_for
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.frame import camera_center
 from torchjoint.scene.scene import evenly_spaced_indices
+from torchjoint.viewer.model import Bytes
 
 #: Largest number of cameras that are drawn; more would hide the cloud.
 MOST = 60
+#: Largest number of points that determine the first view, and its distance in that from which the cloud just fits.
+MOST_FITTED, MARGIN = 20_000, 1.05
 
 
 class Viewpoint(NamedTuple):
@@ -43,10 +47,42 @@ def viewpoint(frame: Frame) -> Viewpoint:
     return Viewpoint(camera_center(frame.world_to_camera).numpy(), wxyz, float(fov), width / height)
 
 
-def start(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Position and target of the first view: from above, looking where the cameras look."""
+def fitted(
+    scene: Scene, up: npt.NDArray[np.float64], fov: float, aspect: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Position and target of a view of the whole cloud, from above, looking where the cameras look.
+
+    Args:
+        scene: the cloud and its cameras.
+        up: [3] upward direction, unit length.
+        fov: vertical field of view, radians.
+        aspect: width / height of the page's canvas.
+    """
     center, position = view_from_above(scene, up)
-    return position, center
+    forward = (center - position) / np.linalg.norm(center - position)
+    right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
+    axes = np.stack([right, np.cross(forward, right), forward])
+    at = (scene.points[:: -(-len(scene.points) // MOST_FITTED)].double().numpy() - center) @ axes.T
+    slope = np.tan(fov / 2) * np.array([aspect, 1])
+    low = np.quantile(at[:, :2] + slope * at[:, 2:], 0.015, axis=0)  # the left, the right, the upper and the lower
+    high = np.quantile(at[:, :2] - slope * at[:, 2:], 0.985, axis=0)  # edge of the canvas pass by these places
+    distance = max(float(((high - low) / slope).max()) / 2, 1e-6)
+    target = center + (low + high) / 2 @ axes[:2]
+    return target - MARGIN * distance * forward, target
+
+
+def ray_of(camera: Any, column: float, row: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Origin and direction of the ray through a place of a page's canvas, in shares of its width and height."""
+    slope = np.tan(camera.fov / 2) * np.array([(2 * column - 1) * camera.aspect, 2 * row - 1])
+    rotation = Rotation.from_quat(np.asarray(camera.wxyz), scalar_first=True)
+    return np.asarray(camera.position), rotation.apply([*slope, 1.0])
+
+
+def behind(photo: Bytes, aspect: float) -> Bytes:
+    """A photo in the midst of a white canvas of another aspect: what fills the page behind the cloud."""
+    height, width = photo.shape[:2]
+    size = max(width, round(height * aspect)), max(height, round(width / aspect))
+    return np.asarray(ImageOps.pad(Image.fromarray(photo), size, color="white"))
 
 
 class Cameras:
@@ -84,17 +120,8 @@ def add_camera(
     server: Any, name: str, view: Viewpoint, size: float, color: tuple[int, int, int], is_visible: bool = True
 ) -> Any:
     """Draws a camera; it replaces the object of the same name."""
-    return server.scene.add_camera_frustum(
-        name,
-        fov=view.fov,
-        aspect=view.aspect,
-        scale=size,
-        line_width=1.5,
-        color=color,
-        wxyz=view.wxyz,
-        position=view.position,
-        visible=is_visible,
-    )
+    looks = {"scale": size, "line_width": 1.5, "color": color, "visible": is_visible}
+    return server.scene.add_camera_frustum(name, **looks, **view._asdict())
 
 
 def import_viser() -> Any:
@@ -133,7 +160,7 @@ def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int
         server.stop()
         raise RuntimeError(f"the viewer: expected viser 1.1, got {viser.__version__}, whose page is open to all")
     server.scene.set_up_direction(tuple(up))
-    position, target = start(scene, up)
+    position, target = fitted(scene, up, server.initial_camera.fov, 1.5)
     server.initial_camera.position, server.initial_camera.look_at = position, target
     shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, f"[{host}]" if ":" in host else host)
     url = f"http://{shown}:{server.get_port()}/{token}/"

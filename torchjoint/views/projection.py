@@ -30,11 +30,7 @@ class Projection(NamedTuple):
 
 
 def project(
-    points: Tensor,
-    intrinsics: Tensor,
-    world_to_camera: Tensor,
-    size: tuple[int, int],
-    margin: float = 0.0,
+    points: Tensor, intrinsics: Tensor, world_to_camera: Tensor, size: tuple[int, int], margin: float = 0.0
 ) -> Projection:
     """Projects points into an image; keeps the points in front of the camera and inside the image frame.
 

@@ -25,13 +25,7 @@ from torchjoint.runtime.groups import members_of_groups, most_frequent, numbers_
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import Votes
-from torchjoint.segments.learned.agglomeration import (
-    Merges,
-    build_hierarchy,
-    last_levels,
-    merge_pieces,
-    merging_steps,
-)
+from torchjoint.segments.learned.agglomeration import Merges, build_hierarchy, last_levels, merge_pieces, merging_steps
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.masks import MaskLinkage

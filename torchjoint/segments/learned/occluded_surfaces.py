@@ -76,10 +76,7 @@ def find_occlusions(
         observations: the frames, with their lines.
     """
     num_pieces = len(statistics.size)
-    ends = [
-        torch.empty(2, 0, dtype=torch.int64),
-        *(seen.lines for seen in observations),
-    ]
+    ends = [torch.empty(2, 0, dtype=torch.int64), *(seen.lines for seen in observations)]
     one, other = piece[torch.cat(ends, 1)]
     key, num_lines = torch.unique(_keys(one, other, num_pieces)[one != other], return_counts=True)
     a, b = key // max(num_pieces, 1), key % max(num_pieces, 1)

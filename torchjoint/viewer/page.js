@@ -1,0 +1,53 @@
+// What viser's page lacks: clicks in the panel's photo and tables, hovering, a title, dark mode, and a phone's layout.
+// A line such as `torchjoint:image 12 80 0` goes into a hidden text field, whose text viser sends to the server.
+"use strict";
+(() => {
+  const field = () => [...document.querySelectorAll("input")].find((one) => one.value.startsWith("torchjoint:"));
+  const send = (...words) => {
+    const line = `torchjoint:${words.join(" ")} ${Date.now()}`; // the time: two clicks in one place are two lines
+    Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(field(), line);
+    field().dispatchEvent(new Event("input", { bubbles: true })); // as when a user types
+  };
+  const once = (condition, action) => (condition() ? action() : setTimeout(once, 200, condition, action));
+  const matches = (query) => matchMedia(query).matches;
+
+  document.title = `${document.getElementById("tj-page").dataset.name} - torchjoint`;
+  once(field, () => send("dark", Number(matches("(prefers-color-scheme: dark)"))));
+  if (window.torchjoint) return; // the panel was built anew
+  window.torchjoint = true;
+
+  const sheet = () => document.querySelector('[style*="height: 3.5em"][style*="cursor"]'); // viser's panel on a phone
+  if (matches("(max-width: 36em)")) once(sheet, () => sheet().click()); // closed at first: the cloud comes first
+
+  document.addEventListener("click", (event) => {
+    const more = event.shiftKey ? 1 : 0;
+    const { key, sort } = event.target.closest("[data-key], [data-sort]")?.dataset ?? {};
+    if (key) send("row", key, more);
+    if (sort) send("sort", sort);
+    if (event.target.id !== "tj-image") return;
+    const { left, top, width, height } = event.target.getBoundingClientRect();
+    const { naturalWidth, naturalHeight } = event.target;
+    const column = Math.floor(((event.clientX - left) / width) * naturalWidth);
+    send("image", column, Math.floor(((event.clientY - top) / height) * naturalHeight), more);
+  });
+
+  // The browser gives a finger to the canvas at once; viser takes that for a grip of its own, and would drop the tap.
+  document.addEventListener("pointerdown", ({ target, pointerId }) => {
+    if (target.tagName === "CANVAS" && target.hasPointerCapture(pointerId)) target.releasePointerCapture(pointerId);
+  }, true);
+
+  let rest; // a timer: the mouse is on a thing when it rests there
+  let isTold = false;
+  document.addEventListener("pointermove", (event) => {
+    clearTimeout(rest);
+    const isOver = event.target.tagName === "CANVAS" && event.pointerType === "mouse" && !event.buttons;
+    if (!isOver && isTold) send("hover");
+    isTold &&= isOver;
+    if (!isOver) return;
+    const { left, top, width, height } = event.target.getBoundingClientRect();
+    rest = setTimeout(() => {
+      isTold = true;
+      send("hover", (event.clientX - left) / width, (event.clientY - top) / height);
+    }, 80);
+  });
+})();
