@@ -18,8 +18,6 @@ GRADIENT_SMOOTHING = 1.0
 
 #: Gradient at which the boundary is 1 - 1/e, Lab units per pixel. Clear edges exceed it; shading is far below it.
 CONTRAST = 8.0
-#: Pixels between the sites where the forest's trees vote. 2 finds contours a little better, and objects no better.
-STRIDE = 4
 
 
 class GradientBoundary(nn.Module):
@@ -80,7 +78,7 @@ def make_boundary(config: BoundaryConfig, allow_import: bool = False) -> nn.Modu
         return GradientBoundary()
     if config.detector == "structured_forest":
         scales = MULTI_SCALE if config.multi_scale else (1.0,)
-        return StructuredForestBoundary(config.model, scales, stride=STRIDE)
+        return StructuredForestBoundary(config.model, scales)
     if not allow_import:
         raise ValueError(
             f"boundary.detector: expected gradient or structured_forest, got code, {config.detector}; "
