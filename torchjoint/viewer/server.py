@@ -120,7 +120,7 @@ def add_camera(
     server: Any, name: str, view: Viewpoint, size: float, color: tuple[int, int, int], is_visible: bool = True
 ) -> Any:
     """Draws a camera; it replaces the object of the same name."""
-    looks = {"scale": size, "line_width": 1.5, "color": color, "visible": is_visible}
+    looks = {"scale": size, "thickness": 1.5, "thickness_units": "screen", "color": color, "visible": is_visible}
     return server.scene.add_camera_frustum(name, **looks, **view._asdict())
 
 
