@@ -31,20 +31,6 @@ def test_a_moving_sensor_comes_nearer_while_it_turns() -> None:
         assert (np.abs(seen[:, 0] - (10 - come)) < 0.02).mean() > 0.98, lidar
 
 
-def test_rain_returns_single_points_near_the_sensor() -> None:
-    settings = domain_settings("street", 0)._replace(depth_noise=0.0, holes=0.0)
-    rainy = 0
-    for seed in range(40):
-        points, labels = lidar_scan.scan(np.random.default_rng(seed), Wall(), settings, "16")
-        drops = np.linalg.norm(points[labels < 0].astype(np.float64), axis=1)
-        rainy += len(drops) > 0
-        assert len(drops) < 0.03 * 16 * 1800
-        if len(drops):
-            assert 0.59 < drops.min() < drops.mean() < 8
-            assert (points[labels < 0][:, 0] < 10.01).all()  # none behind the wall
-    assert 2 <= rainy <= 14
-
-
 def test_sensors_see_what_they_can_reach() -> None:
     for name, lidar in lidar_scan.LIDARS.items():
         seen = wall_seen_by(name)

@@ -10,10 +10,8 @@ from torchjoint_lab.synthetic.furnished.arrays import Array, Rng
 from torchjoint_lab.synthetic.quick_render import QuickRenderer
 from torchjoint_lab.synthetic.settings import DomainSettings
 
-#: Nearest range that is returned, metres: some sensors leave out their own car, others do not.
-_NEAREST = (0.6, 1.8)
-#: Share of the scans in rain, and there, of the rays that a drop returns; the mean range of these drops, metres.
-_RAINY, _DROPS, _DROP_RANGE = 0.15, (0.001, 0.02), 5.0
+#: Nearest range that is returned, metres.
+_NEAREST = 1.8
 #: Seconds of a scan.
 _TURN = 0.1
 
@@ -45,39 +43,27 @@ LIDARS = {
 
 
 def scan(rng: Rng, renderer: QuickRenderer, settings: DomainSettings, kind: str | None = None) -> tuple[Array, Array]:
-    """Points [N, 3] metres, ring by ring, and the instance [N] that each lies on, -1 = a drop; noisy, with dropouts.
+    """Points [N, 3] metres, ring by ring, and the instance [N] that each lies on; noisy, with dropouts.
 
     `kind`: of :data:`LIDARS`; None: what the settings drew.
     """
     lidar = LIDARS[kind or str(settings.beams)]
-    nearest, drops = float(rng.choice(_NEAREST)), float(rng.random() < _RAINY) * rng.uniform(*_DROPS)
-    points, labels = zip(
-        *(_scan(rng, renderer, settings, lidar, place, nearest, drops) for place in lidar.places), strict=True
-    )
+    points, labels = zip(*(_scan(rng, renderer, settings, lidar, place) for place in lidar.places), strict=True)
     return np.concatenate(points), np.concatenate(labels)
 
 
 def _scan(
-    rng: Rng,
-    renderer: QuickRenderer,
-    settings: DomainSettings,
-    lidar: Lidar,
-    place: tuple[float, float, float],
-    nearest: float,
-    drops: float,
+    rng: Rng, renderer: QuickRenderer, settings: DomainSettings, lidar: Lidar, place: tuple[float, float, float]
 ) -> tuple[Array, Array]:
     ray, time = _rings(rng, lidar) if lidar.beams else _rosette(rng, lidar)
     start = np.asarray(place) + lidar.speed * time[:, None] * np.array([1.0, 0.0, 0.0])
     labels, distance, facing, absorbs = renderer.cast(np.concatenate([start, ray], axis=1).astype(np.float32))
     labels, distance = _mixed(rng, labels, distance, max(1, lidar.beams))
-    seen = (distance > nearest) & (distance < lidar.farthest)
+    seen = (labels >= 0) & (distance > _NEAREST) & (distance < lidar.farthest)
     lost = 0.02 + 0.6 * settings.holes * absorbs
     far = np.where(np.isfinite(distance), distance, 0.0) / lidar.farthest
     lost = lost + settings.holes * (0.25 * far**2 + 0.5 * far * (facing < 0.06))
     seen &= rng.random(len(ray)) > lost
-    drop = rng.exponential(_DROP_RANGE, len(ray))
-    wet = (rng.random(len(ray)) < drops) & (drop > nearest) & (drop < distance)
-    labels, distance, seen = np.where(wet, -1, labels), np.where(wet, drop, distance), seen | wet
     measured = distance[seen].astype(np.float64) + settings.depth_noise * rng.standard_normal(int(seen.sum()))
     measured = np.round(measured / 0.002) * 0.002
     return (np.asarray(place) + ray[seen] * measured[:, None]).astype(np.float32), labels[seen]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -112,7 +111,7 @@ class Ground:
 
 
 def build(source: Source, settings: DomainSettings) -> Layout:
-    """A street with parked and driving cars, people, poles, trees, hedges, walls, houses; the car with the sensor."""
+    """A street with parked and driving cars, people, poles, trees, hedges, walls, houses."""
     rng, stage = source.rng, Stage()
     below = source.between(1.5, 2.1)
     ground = Ground(rng, below)
@@ -129,9 +128,6 @@ def build(source: Source, settings: DomainSettings) -> Layout:
     sun = np.array([*(rng.uniform(-1, 1, 2)), rng.uniform(0.4, 1.5)])
     sun = 150 * sun / np.linalg.norm(sun)
     power = np.array([1.05, 1.0, 0.9]) * rng.uniform(0.3, 1.6) * 150**2
-    own = vehicles.car(rng, source.style)
-    if own.size[2] < below - 0.15:  # the sensor stands on its roof
-        stage.add(replace(own, name="own car"), euler(0.0), (0.0, 0.0, -below))
     world = stage.build((Light(sun, 0.7, power),), float(rng.uniform(0.4, 0.9)))
     return Layout(world, Mount(source.between(0.05, 0.4)), (np.full(3, -1e3), np.full(3, 1e3)))
 
