@@ -248,3 +248,54 @@ def test_kinds_that_are_not_read(change, told, tmp_path):
     path.write_text(json.dumps(tree))
     with pytest.raises(ValueError, match=f"expected a plain mesh, got {told}"):
         meshes.read_mesh_file(path)
+
+
+def colored_gltf(path, colors, kind, *, has_faces, material=None):
+    """A triangle or three points; `kind` is glTF's number of the colours' type."""
+    raw = PLANE[:3].astype("<f4").tobytes() + colors.tobytes()
+    views = [{"buffer": 0, "byteOffset": start, "byteLength": size} for start, size in ((0, 36), (36, colors.nbytes))]
+    tree = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}, "mode": 4 * has_faces}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+                      {"bufferView": 1, "componentType": kind, "count": 3, "type": "VEC4", "normalized": True}],
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(raw), "uri": f"data:;base64,{base64.b64encode(raw).decode()}"}],
+    }  # fmt: skip
+    if material is not None:
+        tree["materials"], tree["meshes"][0]["primitives"][0]["material"] = [{"pbrMetallicRoughness": material}], 0
+    path.write_text(json.dumps(tree))
+    return path
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{"has_faces": False}, {"has_faces": True}, {"has_faces": True, "material": {"baseColorFactor": [1, 1, 1, 1]}}],
+)
+@pytest.mark.parametrize("color", [(40000, 20000, 600), (250, 130, 0)])
+def test_colours_of_16_bits_in_a_gltf(how, color, tmp_path):
+    """As Blender writes them; the library keeps the low bytes. Those of a dark part are no 8 bits."""
+    colors = np.tile(np.array([*color, 65535], "<u2"), (3, 1))
+    read = read_cloud_file(colored_gltf(tmp_path / "a.gltf", colors, 5123, **how))
+    np.testing.assert_allclose(read.colors, np.tile(np.array(color) / 65535, (3, 1)), atol=3e-3)
+
+
+def test_colours_that_the_library_reads_wrongly(tmp_path):
+    signed = colored_gltf(tmp_path / "a.gltf", np.full((3, 4), 100, "i1"), 5120, has_faces=False)
+    with pytest.raises(ValueError, match="got COLOR_0 of odd integers"):
+        read_cloud_file(signed)
+    bright = colored_gltf(
+        tmp_path / "b.gltf", np.full((3, 4), 1.5, "<f4"), 5126, has_faces=True, material={"baseColorFactor": [1] * 4}
+    )
+    assert bool((read_cloud_file(bright).colors == 1).all())  # it was taken modulo 256
+    moved = {"baseColorTexture": {"index": 0, "texCoord": 1}}
+    with pytest.raises(ValueError, match="got textures that are moved"):
+        read_cloud_file(colored_gltf(tmp_path / "c.gltf", np.ones((3, 4), "<f4"), 5126, has_faces=True, material=moved))
+
+
+def test_a_texture_and_a_factor_of_a_glb(tmp_path):
+    """The colour is the product of both."""
+    one = part("textured", (255, 100, 255))
+    one.visual.material.baseColorFactor = [0, 255, 255, 255]
+    read = read_cloud_file(glb(tmp_path / "a.glb", one))
+    np.testing.assert_allclose(read.colors, np.tile([0, 100 / 255, 1], (len(PLANE), 1)), atol=1e-6)

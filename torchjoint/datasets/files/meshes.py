@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import functools
+import inspect
 import io
 import os
 import re
@@ -41,6 +43,8 @@ TEXTURES = (*RASTERS, "TGA")
 _LOOKS = re.compile("KHR_(materials_.*|texture_.*|lights_punctual|xmp.*|mesh_quantization)|EXT_texture_.*")
 _OFF = re.compile(rb"(\s*#.*\n)*\s*(ST)?(CN?|NC?)?OFF(?!\s+BINARY)", re.IGNORECASE)
 _NORMALS = re.compile(rb'^\s*vn\s|"NORMAL"|^(ST)?C?NC?OFF', re.MULTILINE)
+#: The types of numbers of which trimesh reads these: 8 bits, 16 bits, floating.
+_KINDS = {"COLOR_0": (5121, 5123, 5126), "TEXCOORD_0": (5126,)}
 #: Chunks of a .glb.
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
@@ -137,23 +141,24 @@ def _color_twice(part: Any) -> None:
     own = getattr(part.visual, "vertex_attributes", {}).get("color")
     if own is not None:
         of_material = _of_material(part.visual, len(part.vertices))[:, :3]
-        product = of_material * unit_colors(np.asarray(own)[:, :3]).numpy()
-        part.visual = type(part)(part.vertices, part.faces, vertex_colors=product.round().astype(np.uint8)).visual
+        part.visual = type(part)(part.vertices, part.faces, vertex_colors=own).visual
+        product = of_material * (part.visual.vertex_colors[:, :3] / 255)
+        part.visual.vertex_colors = product.round().astype(np.uint8)
 
 
 def _of_material(visual: Any, count: int) -> Array:
     """The colours of vertices with a texture, or of one colour, as bytes."""
     material = visual.material
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    if image is not None and visual.uv is not None:
-        return np.asarray(visual.to_color().vertex_colors)
-    if not hasattr(material, "baseColorFactor"):
+    has_texture, factor = image is not None and visual.uv is not None, getattr(material, "baseColorFactor", None)
+    if not has_texture and not hasattr(material, "baseColorFactor"):
         return np.tile(material.main_color, (count, 1))
-    if material.baseColorFactor is None:
-        return np.full((count, 4), 255, np.uint8)
-    linear = np.asarray(material.main_color) / 255  # glTF: factors are linear, textures and vertices are not
+    colors = np.asarray(visual.to_color().vertex_colors) if has_texture else np.full((count, 4), 255, np.uint8)
+    if factor is None:
+        return colors
+    linear = np.asarray(factor) / 255  # glTF: factors are linear, textures and vertices are not
     curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.tile((255 * curved).round().astype(np.uint8), (count, 1))
+    return (colors * curved).round().astype(np.uint8)
 
 
 def _rows_of_obj(data: bytes) -> CloudFile:
@@ -323,9 +328,21 @@ class Parts:
 
 
 def bound_textures() -> None:
-    """Makes trimesh decode the textures of .obj files with our decoder; those of .gltf are checked before."""
+    """Makes trimesh decode the textures of .obj files with our decoder; those of .gltf are checked before.
+
+    And makes it divide colours of 16 bits, of which it takes the low byte.
+    """
     from trimesh.exchange import obj
+    from trimesh.visual import color
     from trimesh.visual.texture import TextureVisuals
+
+    original = inspect.unwrap(color.to_rgba)
+
+    @functools.wraps(original)
+    def to_rgba(colors: Any, dtype: Any = np.uint8) -> Any:
+        return original(colors / 65535 if getattr(colors, "dtype", None) == np.uint16 else colors, dtype)
+
+    vars(color)["to_rgba"] = to_rgba
 
     decoder = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", formats=TEXTURES))
     vars(obj)["Image"] = decoder
@@ -366,9 +383,17 @@ def _check_kinds(tree: dict[str, Any], name: str) -> None:
         unknown.add("skins")
     if any(any(one.get("weights", ())) for one in (*tree.get("meshes", ()), *tree.get("nodes", ()))):
         unknown.add("weights of morph targets")
+    for material in tree.get("materials", ()):
+        texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+        if texture.get("texCoord") or "KHR_texture_transform" in texture.get("extensions", ()):
+            unknown.add("textures that are moved")
     for primitive in (one for mesh in tree.get("meshes", ()) for one in mesh["primitives"]):
         used = [tree["accessors"][one] for one in _accessors(primitive)]
         unknown |= {"sparse accessors"} if any("sparse" in one for one in used) else set()
+        for name_of, kinds in _KINDS.items():
+            at = primitive["attributes"].get(name_of)
+            if at is not None and tree["accessors"][at]["componentType"] not in kinds:
+                unknown.add(f"{name_of} of odd integers")
         if primitive.get("mode") in (2, 3):
             warnings.warn(f"{name}: lines are not read", stacklevel=5)
         unknown |= {"fans of triangles"} if primitive.get("mode") == 6 else set()
