@@ -1,6 +1,7 @@
 """Packed ROS recordings: what they hold is read, and what becomes too much is an error before it fills the memory."""
 
 import bz2
+import shutil
 import sqlite3
 from contextlib import closing
 
@@ -71,6 +72,22 @@ def test_a_database_that_computes(change, tmp_path):
         database.executescript(change)
     with pytest.raises(ValueError, match=r"walk: not a whole ROS recording: .* computed, maybe without end"):
         Bag(tmp_path / "walk").first("/text")
+
+
+def test_messages_in_a_journal_are_not_left_out(tmp_path):
+    """A recorder that was killed leaves its last messages in a file beside the database."""
+    ros_2(tmp_path / "walk", CompressionMode.NONE, StoragePlugin.SQLITE3)
+    with closing(sqlite3.connect(tmp_path / "walk" / "walk.db3")) as database:
+        database.executescript(
+            "PRAGMA journal_mode = wal; INSERT INTO messages SELECT 9, topic_id, 9, data FROM messages"
+        )
+        shutil.copytree(tmp_path / "walk", tmp_path / "killed")
+    for path in (tmp_path / "killed", tmp_path / "killed" / "walk.db3"):
+        with pytest.raises(ValueError, match=r"expected a database that was closed, got walk\.db3-wal beside it"):
+            Bag(path)
+    with closing(sqlite3.connect(tmp_path / "killed" / "walk.db3")) as database:
+        database.execute("SELECT count(*) FROM messages").fetchall()
+    assert len(list(Bag(tmp_path / "killed").messages("/text"))) == 2
 
 
 @pytest.mark.parametrize("name", ["a#b", "a?b", "100% of it", "a%41", "..%2fother%2f"])
