@@ -49,6 +49,8 @@ def decode_image(
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter
             image = Image.open(io.BytesIO(data), formats=formats)
             bounds.check_pixels(image.height, image.width)
+            if image.format == "PPM" and isinstance(kind := image.tile[0].args, tuple) and kind[1] not in (0, 255, 65535):
+                raise ValueError(f"expected 255 or 65535 as its largest number, got {kind[1]}: Pillow scales others")
             bounds.check(len(image.info.get("exif", b"")), bounds.EXIF_BYTES, "bytes of EXIF")
             if not header_only:
                 if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
@@ -209,6 +211,7 @@ def rgb_of(image: Image.Image, name: str) -> Tensor:
 
 def labels_of(image: Image.Image, name: str) -> Tensor:
     """Converts an 8- or 16-bit label image to [H, W] int64; errors begin with `name`."""
-    if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
-        raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode}")
+    if image.mode not in ("L", "P", "I;16", "I;16B", "I") or image.format == "JPEG":  # JPEG makes other numbers
+        got = f"mode {image.mode} of {image.format}"
+        raise ValueError(f"{name}: expected a grey or palette image of labels, got {got}")
     return torch.from_numpy(np.array(image).astype(np.int64))
