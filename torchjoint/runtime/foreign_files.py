@@ -118,7 +118,7 @@ def parse_json(data: bytes, name: str) -> Any:
     """Reads the bytes of a JSON file."""
     bounds.check(sum(map(data.count, (b",", b"[", b"{"))), bounds.JSON_VALUES, "values", name)
     with damage_is(f"{name}: not a whole JSON file"):
-        return json.loads(data)
+        return json.loads(data, object_pairs_hook=dict_of)
 
 
 @contextmanager
@@ -159,7 +159,15 @@ def _check_links(path: Path) -> None:
             return
 
 
-def no_twice(names: Iterable[str], what: str) -> None:
+def dict_of(pairs: Sequence[tuple[Any, Any]], what: str = "name") -> dict[Any, Any]:
+    """Pairs of a name and a value as a dict; errors as of :func:`no_twice`."""
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        no_twice((name for name, _ in pairs), what)
+    return made
+
+
+def no_twice(names: Iterable[object], what: str) -> None:
     """Checks that no name occurs twice: only one of the two would be read."""
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:

@@ -20,7 +20,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera, pinhole_matrix, rotations_from_quaternions
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.text import parse_integer, parse_numbers, read_lines
-from torchjoint.runtime.foreign_files import has_file
+from torchjoint.runtime.foreign_files import dict_of, has_file
 
 #: Camera models; the index is the model's number in binary files.
 MODELS = (
@@ -130,7 +130,7 @@ def _check_model(model: str, name: str) -> tuple[int, int]:
 
 
 def _cameras_of_text(path: Path) -> dict[int, Camera]:
-    cameras = {}
+    cameras = []
     for name, line in read_lines(path, "COLMAP's cameras"):
         if not line:
             continue
@@ -138,8 +138,8 @@ def _cameras_of_text(path: Path) -> dict[int, Camera]:
         if len(words) < 5:
             raise ValueError(f"{name}: expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got {line[:100]!r}")
         key, width, height = (parse_integer(word, name) for word in (words[0], words[2], words[3]))
-        cameras[key] = _camera(words[1], width, height, parse_numbers(words[4:], name), name)
-    return cameras
+        cameras.append((key, _camera(words[1], width, height, parse_numbers(words[4:], name), name)))
+    return dict_of(cameras, f"{path}: camera")
 
 
 def _images_of_text(path: Path) -> list[_Row]:
@@ -173,16 +173,16 @@ def _points_of_text(path: Path) -> list[_Point]:
 
 
 def _cameras_of_binary(path: Path) -> dict[int, Camera]:
-    cameras = {}
+    cameras = []
     with BinaryFile(path) as file:
         for _ in range(file.count(smallest=48)):
             key, number, width, height = file.read("IiQQ")
             name = f"{path}: camera {key}"
             model = MODELS[number] if 0 <= number < len(MODELS) else f"number {number}"
             parameters = file.read(f"{_check_model(model, name)[1]}d")
-            cameras[key] = _camera(model, width, height, parameters, name)
+            cameras.append((key, _camera(model, width, height, parameters, name)))
         file.finish()
-    return cameras
+    return dict_of(cameras, f"{path}: camera")
 
 
 def _images_of_binary(path: Path) -> list[_Row]:

@@ -49,7 +49,11 @@ def decode_image(
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter
             image = Image.open(io.BytesIO(data), formats=formats)
             bounds.check_pixels(image.height, image.width)
-            if image.format == "PPM" and isinstance(kind := image.tile[0].args, tuple) and kind[1] not in (0, 255, 65535):
+            if (
+                image.format == "PPM"
+                and isinstance(kind := image.tile[0].args, tuple)
+                and kind[1] not in (0, 255, 65535)
+            ):
                 raise ValueError(f"expected 255 or 65535 as its largest number, got {kind[1]}: Pillow scales others")
             bounds.check(len(image.info.get("exif", b"")), bounds.EXIF_BYTES, "bytes of EXIF")
             if not header_only:
