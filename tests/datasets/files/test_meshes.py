@@ -223,6 +223,9 @@ def test_strips_of_a_ply(tmp_path, encoding):
         (lambda tree: tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco"),
         (lambda tree: tree.update(extensionsRequired=["EXT_meshopt_compression"]), "extension EXT_meshopt"),
         (lambda tree: tree["accessors"][0].update(sparse={"count": 1}), "sparse accessors"),
+        (lambda tree: tree["accessors"][0].pop("bufferView"), "accessors without data"),
+        (lambda tree: tree["accessors"][0].update(type="VEC4", count=6), "positions that are no triples"),
+        (lambda tree: tree["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {}}), "many instances of a node"),
         (lambda tree: tree["accessors"][0].update(normalized=True), "normalized positions"),
         (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=6), "fans of triangles"),
         (lambda tree: tree["nodes"][0].update(skin=0), "skins"),
@@ -282,12 +285,16 @@ def test_colours_of_16_bits_in_a_gltf(how, color, tmp_path):
 
 def test_colours_that_the_library_reads_wrongly(tmp_path):
     signed = colored_gltf(tmp_path / "a.gltf", np.full((3, 4), 100, "i1"), 5120, has_faces=False)
-    with pytest.raises(ValueError, match="got COLOR_0 of odd integers"):
+    with pytest.raises(ValueError, match="got odd integers as colours"):
         read_cloud_file(signed)
     bright = colored_gltf(
         tmp_path / "b.gltf", np.full((3, 4), 1.5, "<f4"), 5126, has_faces=True, material={"baseColorFactor": [1] * 4}
     )
     assert bool((read_cloud_file(bright).colors == 1).all())  # it was taken modulo 256
+    still, turned = ({"KHR_texture_transform": {"scale": [1, up], "offset": [0, 0]}} for up in (1, -1))
+    texture = {"index": 0, "texCoord": 0}
+    for change, is_moved in (({"texCoord": 1}, True), ({"extensions": turned}, True), ({"extensions": still}, False)):
+        assert meshes._is_moved({"pbrMetallicRoughness": {"baseColorTexture": texture | change}}) == is_moved
     moved = {"baseColorTexture": {"index": 0, "texCoord": 1}}
     with pytest.raises(ValueError, match="got textures that are moved"):
         read_cloud_file(colored_gltf(tmp_path / "c.gltf", np.ones((3, 4), "<f4"), 5126, has_faces=True, material=moved))

@@ -43,6 +43,8 @@ TEXTURES = (*RASTERS, "TGA")
 _LOOKS = re.compile("KHR_(materials_.*|texture_.*|lights_punctual|xmp.*|mesh_quantization)|EXT_texture_.*")
 _OFF = re.compile(rb"(\s*#.*\n)*\s*(ST)?(CN?|NC?)?OFF(?!\s+BINARY)", re.IGNORECASE)
 _NORMALS = re.compile(rb'^\s*vn\s|"NORMAL"|^(ST)?C?NC?OFF', re.MULTILINE)
+#: A transform of a texture that does not move it.
+_STILL = {"offset": [0, 0], "scale": [1, 1], "rotation": 0, "texCoord": 0}
 #: The types of numbers of which trimesh reads these: 8 bits, 16 bits, floating.
 _KINDS = {"COLOR_0": (5121, 5123, 5126), "TEXCOORD_0": (5126,)}
 #: Chunks of a .glb.
@@ -379,30 +381,38 @@ def check_gltf(data: bytes, parts: Parts, name: str) -> None:
 def _check_kinds(tree: dict[str, Any], name: str) -> None:
     """Checks that trimesh reads all points as they are meant: what it does not know it leaves out, or takes for 0."""
     unknown = {f"extension {one}" for one in tree.get("extensionsRequired", ()) if not _LOOKS.fullmatch(one)}
-    if any("skin" in node for node in tree.get("nodes", ())):
-        unknown.add("skins")
-    if any(any(one.get("weights", ())) for one in (*tree.get("meshes", ()), *tree.get("nodes", ()))):
-        unknown.add("weights of morph targets")
-    for material in tree.get("materials", ()):
-        texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
-        if texture.get("texCoord") or "KHR_texture_transform" in texture.get("extensions", ()):
-            unknown.add("textures that are moved")
-    for primitive in (one for mesh in tree.get("meshes", ()) for one in mesh["primitives"]):
-        used = [tree["accessors"][one] for one in _accessors(primitive)]
-        unknown |= {"sparse accessors"} if any("sparse" in one for one in used) else set()
-        for name_of, kinds in _KINDS.items():
-            at = primitive["attributes"].get(name_of)
-            if at is not None and tree["accessors"][at]["componentType"] not in kinds:
-                unknown.add(f"{name_of} of odd integers")
-        if primitive.get("mode") in (2, 3):
-            warnings.warn(f"{name}: lines are not read", stacklevel=5)
-        unknown |= {"fans of triangles"} if primitive.get("mode") == 6 else set()
-        is_scaled = tree["accessors"][primitive["attributes"]["POSITION"]].get("normalized")
-        unknown |= {"normalized positions"} if is_scaled else set()
+    primitives, nodes = [one for mesh in tree.get("meshes", ()) for one in mesh["primitives"]], tree.get("nodes", ())
+    used = [[tree["accessors"][at] for at in _accessors(one)] for one in primitives]
+    named = [{key: tree["accessors"][at] for key, at in one["attributes"].items()} for one in primitives]
+    kinds = [(key, one[key]["componentType"]) for one in named for key in _KINDS.keys() & one.keys()]
+    positions = [one["POSITION"] for one in named]
+    found = {
+        "skins": any("skin" in node for node in nodes),
+        "many instances of a node": any("EXT_mesh_gpu_instancing" in node.get("extensions", ()) for node in nodes),
+        "weights of morph targets": any(any(one.get("weights", ())) for one in (*tree.get("meshes", ()), *nodes)),
+        "textures that are moved": any(map(_is_moved, tree.get("materials", ()))),
+        "sparse accessors": any("sparse" in one for of_one in used for one in of_one),
+        "accessors without data": any("bufferView" not in one for of_one in used for one in of_one),
+        "attributes of several lengths": any(len({one["count"] for one in of_one.values()}) > 1 for of_one in named),
+        "odd integers as colours or places in textures": any(kind not in _KINDS[key] for key, kind in kinds),
+        "fans of triangles": any(one.get("mode") == 6 for one in primitives),
+        "normalized positions": any(one.get("normalized") for one in positions),
+        "positions that are no triples": any(one["type"] != "VEC3" for one in positions),
+    }
+    unknown |= {what for what, is_there in found.items() if is_there}
+    for _ in (one for one in primitives if one.get("mode") in (2, 3)):
+        warnings.warn(f"{name}: lines are not read", stacklevel=5)
     if unknown:
         raise ValueError(f"expected a plain mesh, got {', '.join(sorted(unknown))}; save it without")
     if len(tree.get("scenes", ())) > 1:
         warnings.warn(f"{name}: of {len(tree['scenes'])} scenes only one is read", stacklevel=5)
+
+
+def _is_moved(material: dict[str, Any]) -> bool:
+    """Whether a texture is not where TEXCOORD_0 has it."""
+    texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+    given = texture | texture.get("extensions", {}).get("KHR_texture_transform", {})
+    return any(given.get(key, still) != still for key, still in _STILL.items())
 
 
 def _check_numbers(tree: dict[str, Any], size: int) -> None:
