@@ -175,6 +175,36 @@ def test_places_in_a_texture_are_no_colours(tmp_path):
     assert read_cloud_file(tmp_path / "a.obj").colors is None
 
 
+QUAD = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "faces"),
+    [
+        (f"{QUAD}f -4 -3 -2\n", [[0, 1, 2]]),
+        (f"{QUAD}f 1 2 3\n  f 2 4 3\n", [[0, 1, 2], [1, 3, 2]]),  # it was left out
+        (f"{QUAD}f 1 2 \\\n 3\n", [[0, 1, 2]]),
+        (f"{QUAD}f -4 -3 -2\n{QUAD}f -4 -3 -2\n", "behind all vertices, where they count back"),
+        (f"{QUAD}f 1 2 3\nf 2 4\n", "at least three vertices, got 'f 2 4'"),
+    ],
+)
+def test_faces_of_an_obj(tmp_path, text, faces):
+    (tmp_path / "a.obj").write_text(text)
+    if isinstance(faces, str):
+        with pytest.raises(ValueError, match=faces):
+            read_cloud_file(tmp_path / "a.obj")
+    else:
+        assert read_cloud_file(tmp_path / "a.obj").faces.tolist() == faces
+
+
+@pytest.mark.parametrize("rows", ["0 0 0\n1 0 0\n0 1 0\n1 1 0\n3 0 1 2\n", "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 1 2 0\n"])
+def test_an_off_that_is_truncated(tmp_path, rows):
+    """The first face of the second one would be a vertex."""
+    (tmp_path / "a.off").write_text(f"OFF\n4 2 0\n{rows}")
+    with pytest.raises(ValueError, match=r"a\.off: expected 2 rows of faces, as its head tells, got 1"):
+        read_cloud_file(tmp_path / "a.off")
+
+
 @pytest.mark.parametrize("kind", ["white", "plain", "textured"])
 def test_vertices_and_a_material_have_colours(tmp_path, kind):
     """As Blender writes them: the colour is the product."""

@@ -63,6 +63,8 @@ def read_mesh_file(path: Path) -> CloudFile:
     data, suffix, parts = read_file(path, "a mesh"), path.suffix.lower(), Parts(path)
     if suffix in (".obj", ".off"):
         data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if suffix == ".obj":
+        data = re.sub(rb"^ +", b"", data, flags=re.MULTILINE)
     if suffix == ".off" and not _OFF.match(data):
         raise ValueError(f"{path}: expected text that begins with OFF, COFF, NOFF or STOFF, got {data[:20]!r}")
     if suffix == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little") and any(data[133::50]):
@@ -189,7 +191,7 @@ def _colors_of_off(data: bytes, count: int, name: str) -> Tensor | None:
     head = lines[0][0].upper()
     first = 1 if lines[0][1:] or head[-3:] != b"OFF" else 2  # the counts may stand behind the word OFF
     rows, faces = lines[first : first + count], lines[first + count :]
-    if len(faces) > (told := int(lines[first - 1][-2])):  # trimesh drops them; edges have no rows
+    if len(faces) != (told := int(lines[first - 1][-2])):  # trimesh drops them; edges have no rows
         raise ValueError(f"{name}: expected {told} rows of faces, as its head tells, got {len(faces)}")
     if any(len(face) > int(face[0]) + 1 for face in faces):
         warnings.warn(f"{name}: colours of faces are not read; those of vertices (COFF) are", stacklevel=4)
@@ -353,9 +355,14 @@ def bound_textures() -> None:
 
 
 def check_obj(data: bytes, name: str) -> None:
-    """Checks how long trimesh takes for the materials of an .obj, and that its faces count vertices from 1."""
-    if re.search(rb"^ *f (?:.* )?0+(?:[/ ]|$)", data, re.MULTILINE):
+    """Checks how long trimesh takes for the materials of an .obj, and that it reads its faces as they are meant."""
+    if re.search(rb"^f (?:.* )?0+(?:[/ ]|$)", data, re.MULTILINE):
         raise ValueError("expected faces of vertices from 1 on, got 0")
+    if short := re.search(rb"^f(?: +[^\s\\]+){0,2} *$", data, re.MULTILINE):
+        raise ValueError(f"expected faces of at least three vertices, got {short[0].decode(errors='replace')!r}")
+    # trimesh counts back from the end of the file.
+    if (back := re.search(rb"^f .*-", data, re.MULTILINE)) and data.rfind(b"\nv ") > back.start():
+        raise ValueError("expected faces behind all vertices, where they count back (f -3 -2 -1)")
     steps = data.count(b"usemtl") * data.count(b"\nv")
     bounds.check(steps, bounds.MATERIAL_STEPS, "vertices times materials", name)
 
