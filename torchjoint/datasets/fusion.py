@@ -75,9 +75,8 @@ def fuse_cloud(
 
 def _tell_without_depth(without: int, total: int) -> None:
     if without:
-        warnings.warn(
-            f"depth: {without} of {total} frames have no depth image; the cloud is fused from the others", stacklevel=3
-        )
+        told = f"depth: {without} of {total} frames have no depth image; the cloud is fused from the others"
+        warnings.warn(told, stacklevel=3)
 
 
 @_lost_if_interrupted()
@@ -91,9 +90,8 @@ def _fused(frames: Sequence[Frame], voxel_size: float, progress: bool | None) ->
     origin = volume_origin(frames, voxel_size)
     volume = Volume(voxel_size, FAR)
     fused = 0
-    for index in tqdm(
-        range(len(frames)), desc="fuse", unit="frame", disable=None if progress is None else not progress
-    ):
+    is_hidden = None if progress is None else not progress
+    for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=is_hidden):
         frame = frames[index]
         if frame.depth is None:
             continue

@@ -32,12 +32,7 @@ def read_point_instances(folder: Path, scan: str, num_points: int) -> Tensor:
 
 
 def point_instances(
-    segments_file: Path,
-    objects_file: Path,
-    num_points: int,
-    *,
-    smallest: bool = False,
-    among: Set[int] | None = None,
+    segments_file: Path, objects_file: Path, num_points: int, *, smallest: bool = False, among: Set[int] | None = None
 ) -> Tensor:
     """Reads [N] int64, the objectId of each vertex of a mesh; -1 = none.
 
@@ -77,10 +72,8 @@ def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Seq
 
     The labels are in `instance-filt/N.png`, or in `SCAN_2d-instance-filt.zip` as downloaded; empty if neither exists.
     """
-    names = frames.names
-    read = _folder_reader(folder / "instance-filt", names) or _archive_reader(
-        folder / f"{scan}_2d-instance-filt.zip", names
-    )
+    names, archive = frames.names, folder / f"{scan}_2d-instance-filt.zip"
+    read = _folder_reader(folder / "instance-filt", names) or _archive_reader(archive, names)
     if read is None:
         return ()
     return LazySequence(len(names), lambda i: resize_nearest(read(names[i]) - 1, frames[i].size))

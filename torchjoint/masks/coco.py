@@ -62,18 +62,13 @@ class CocoFile:
         data = read_json(path, "a COCO data set")
         if not isinstance(data, dict) or not {"images", "annotations"} <= set(data):
             raise ValueError(f"{path}: expected a COCO data set with images and annotations")
-        try:
+        with damage_is(f"{path}: expected images with file_name and id, annotations with image_id"):
             self._images = {Path(image["file_name"]).stem: image for image in data["images"]}
-            ids: list[tuple[Any, list[Any]]] = [(image["id"], []) for image in data["images"]]
-            self._annotations = dict_of(ids, f"{path}: image")
+            self._annotations = dict_of([(image["id"], []) for image in data["images"]], "image")
             for annotation in data["annotations"]:
                 self._annotations[annotation["image_id"]].append(annotation)
             named = [(one["id"], str(one["name"])) for one in data.get("categories", []) if "name" in one]
-            self._categories = dict_of(named, f"{path}: category")
-        except (KeyError, TypeError) as error:
-            raise ValueError(
-                f"{path}: expected images with file_name and id, annotations with image_id: {error}"
-            ) from error
+            self._categories = dict_of(named, "category")
         if len(self._images) < len(data["images"]):
             raise ValueError(f"{path}: expected images with different file names, got two of one name")
 

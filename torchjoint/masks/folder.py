@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -139,7 +138,7 @@ def _scores(path: Path, ids: list[str]) -> list[float] | None:
     if not has_file(path):
         return None
     try:
-        table = csv.DictReader(io.StringIO(read_text(path, "scores of masks")))
+        table = csv.DictReader(read_text(path, "scores of masks").split("\n"))
         rows = dict_of([(row.get("id"), row) for row in table], f"{path}: mask")
     except csv.Error as error:
         raise ValueError(f"{path}: expected a table: {error}") from error

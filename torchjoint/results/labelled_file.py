@@ -62,10 +62,8 @@ def write_labelled(
     laspy, done = las_library(), 0
     with open_las(path, only_places=False) as reader:
         header = _header(laspy, reader.header, columns)
-        with (
-            _disk_errors(out),
-            laspy.open(out, "w", header=header, do_compress=out.suffix.lower() == ".laz") as writer,
-        ):
+        is_packed = out.suffix.lower() == ".laz"
+        with _disk_errors(out), laspy.open(out, "w", header=header, do_compress=is_packed) as writer:
             for chunk in las_chunks(reader, path):
                 record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=writer.header)
                 for name in chunk.array.dtype.names:  # the stored numbers, not scaled coordinates: an exact copy

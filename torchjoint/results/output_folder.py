@@ -209,11 +209,12 @@ def _is_part(path: Path) -> bool:
 def _others(path: Path) -> Iterator[Path]:
     """What is in a part of a result, and not of a frame in its manifest, if it has one."""
     manifest = path.parent / MANIFEST
-    listed = read_json(manifest, "a list of files")["files"] if manifest.is_file() else None
-    frames = None if listed is None else {Path(name).stem for name in listed}
+    with damage_is(f"{manifest}: not the list of a result's files; move or delete its folder"):
+        listed = read_json(manifest, "a list of files")["files"] if manifest.is_file() else ()
+        frames = {Path(name).stem for name in listed}
     for one in path.iterdir() if path.is_dir() and not path.is_symlink() else ():
-        is_picture = one.suffix in (".png", ".jpg") and not one.is_dir()
-        if not one.name.startswith(".") and not (is_picture and (frames is None or one.stem in frames)):
+        is_own = one.suffix in (".png", ".jpg") and not one.is_dir() and (not frames or one.stem in frames)
+        if not is_own and not one.name.startswith("."):
             yield one
 
 

@@ -91,9 +91,7 @@ def read_points(folder: Path) -> tuple[Tensor, Tensor]:
     values = torch.tensor([row[1:] for row in sorted(rows)], dtype=torch.float64)
     colors = values[:, 3:]
     if not ((colors >= 0) & (colors <= 255)).all():
-        raise ValueError(
-            f"{file}: expected colours of 0 to 255, got {float(colors.min()):g} to {float(colors.max()):g}"
-        )
+        raise ValueError(f"{file}: expected colours of 0 to 255, got {colors.min():g} to {colors.max():g}")
     return values[:, :3], colors.to(torch.uint8)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import base64
-import functools
-import inspect
 import io
 import os
 import re
@@ -316,7 +314,7 @@ class Parts:
 
     def check_texture(self, data: bytes, name: str) -> None:
         """Checks a texture, and the sum of all of them; errors as of :func:`decode_image`."""
-        image = decode_image(data, name, formats=TEXTURES)
+        image = decode_image(data, name, kinds=TEXTURES)
         self._pixels += image.width * image.height
         bounds.check(self._pixels, bounds.TEXTURES, "pixels in all textures", name)
 
@@ -340,15 +338,14 @@ def bound_textures() -> None:
     from trimesh.visual import color
     from trimesh.visual.texture import TextureVisuals
 
-    original = inspect.unwrap(color.to_rgba)
+    original = vars(color).setdefault("to_rgba_of_trimesh", color.to_rgba)
 
-    @functools.wraps(original)
     def to_rgba(colors: Any, dtype: Any = np.uint8) -> Any:
         return original(colors / 65535 if getattr(colors, "dtype", None) == np.uint16 else colors, dtype)
 
     vars(color)["to_rgba"] = to_rgba
 
-    decoder = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", formats=TEXTURES))
+    decoder = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", kinds=TEXTURES))
     vars(obj)["Image"] = decoder
     # A part with places in a texture, but without a material, has no colour; trimesh would make it grey.
     vars(obj)["TextureVisuals"] = lambda uv, material=None: None if material is None else TextureVisuals(uv, material)
@@ -428,10 +425,7 @@ def _check_numbers(tree: dict[str, Any], size: int) -> None:
     for count in counts:
         bounds.check(count, size, "values in an accessor")
     bounds.check(sum(counts), size, "values in all accessors")
-    sizes = [
-        sum(counts[one] for primitive in mesh["primitives"] for one in _accessors(primitive))
-        for mesh in tree.get("meshes", ())
-    ]
+    sizes = [sum(counts[at] for one in mesh["primitives"] for at in _accessors(one)) for mesh in tree.get("meshes", ())]
     placed = sum(sizes[node["mesh"]] for node in tree.get("nodes", ()) if "mesh" in node)
     most = bounds.POINTS_PER_BYTE * size + bounds.INSTANCED
     bounds.check(sum(sizes), most, "values in all meshes")

@@ -36,9 +36,7 @@ def read_raster(path: Path, *, header_only: bool = False) -> Image.Image:
     return decode_image(read_file(path, "an image", bounds.IMAGE_BYTES), str(path), header_only=header_only)
 
 
-def decode_image(
-    data: bytes, name: str, *, header_only: bool = False, formats: tuple[str, ...] = RASTERS
-) -> Image.Image:
+def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tuple[str, ...] = RASTERS) -> Image.Image:
     """Decodes an image file's bytes (or only its header); errors begin with `name`.
 
     Raises:
@@ -47,14 +45,10 @@ def decode_image(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter
-            image = Image.open(io.BytesIO(data), formats=formats)
+            image = Image.open(io.BytesIO(data), formats=kinds)
             bounds.check_pixels(image.height, image.width)
-            if (
-                image.format == "PPM"
-                and isinstance(kind := image.tile[0].args, tuple)
-                and kind[1] not in (0, 255, 65535)
-            ):
-                raise ValueError(f"expected 255 or 65535 as its largest number, got {kind[1]}: Pillow scales others")
+            if image.format == "PPM" and isinstance(to := image.tile[0].args, tuple) and to[1] not in (0, 255, 65535):
+                raise ValueError(f"expected 255 or 65535 as its largest number, got {to[1]}: Pillow scales others")
             bounds.check(len(image.info.get("exif", b"")), bounds.EXIF_BYTES, "bytes of EXIF")
             if not header_only:
                 if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
@@ -63,7 +57,7 @@ def decode_image(
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
             Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
         # Pillow's own message names the buffer in memory.
-        reason = f"expected one of {', '.join(formats)}" if isinstance(error, UnidentifiedImageError) else error
+        reason = f"expected one of {', '.join(kinds)}" if isinstance(error, UnidentifiedImageError) else error
         raise ValueError(f"{name}: not a whole image: {reason}") from error
     return image
 

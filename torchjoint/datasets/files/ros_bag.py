@@ -172,11 +172,9 @@ def check_databases() -> None:
         return
 
     def opened(reader: Any) -> None:
-        for rest in (Path(f"{reader.path}-{end}") for end in ("wal", "journal")):
-            if has_file(rest) and read_file(rest, "a journal")[:1] not in (b"", b"\0"):
-                raise ValueError(
-                    f"expected a database that was closed, got {rest.name} beside it: open it with sqlite3"
-                )
+        for one in (Path(f"{reader.path}-{end}") for end in ("wal", "journal")):
+            if has_file(one) and read_file(one, "a journal")[:1] not in (b"", b"\0"):
+                raise ValueError(f"expected a database that was closed, got {one.name} beside it: open it with sqlite3")
         size = reader.path.stat().st_size
         reader.path = Path(quote(str(reader.path)))  # a part of a URI, where ..%2f would lead out of the folder
         with closing(sqlite3.connect(f"file:{reader.path}?immutable=1", uri=True)) as database:

@@ -95,9 +95,7 @@ def _nearest_rigid(pose: Tensor) -> Tensor:
 
 
 def _instances(path: Path, points: Tensor, rectified_from_world: Tensor) -> Tensor:
-    boxes = [
-        _parse_box(line, name) for name, line in read_lines(path, "boxes") if line and line.split()[0] != "DontCare"
-    ]
+    boxes = [_parse_box(line, name) for name, line in read_lines(path, "boxes") if line and line[:8] != "DontCare"]
     height, width, length, x, y, z, yaw = torch.tensor(boxes, dtype=torch.float64).reshape(-1, 7).unbind(1)
     cos, sin, zero, one = yaw.cos(), yaw.sin(), torch.zeros_like(yaw), torch.ones_like(yaw)
     rotations = torch.stack([cos, zero, sin, zero, one, zero, -sin, zero, cos], dim=1).view(-1, 3, 3)
