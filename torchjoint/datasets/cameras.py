@@ -125,9 +125,8 @@ def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:
 def _check_same_shape(old: tuple[int, int], new: tuple[int, int], name: str) -> None:
     # Sizes are integers: half of 1051 is 525 or 526.
     if abs(new[1] * old[0] - new[0] * old[1]) > max(old):
-        raise ValueError(
-            f"{name}: expected the aspect ratio of {old[1]} x {old[0]} pixels, got {new[1]} x {new[0]}: is it cropped?"
-        )
+        got = f"{new[1]} x {new[0]}: is it cropped?"
+        raise ValueError(f"{name}: expected the aspect ratio of {old[1]} x {old[0]} pixels, got {got}")
 
 
 def undistort(

@@ -152,9 +152,8 @@ def _images_of_text(path: Path) -> list[_Row]:
         rows.append(_Row(parse_numbers(words[1:8], name), parse_integer(words[8], name), words[9]))
         name, points = next(lines, (name, ""))
         if len(points.split()) % 3:
-            raise ValueError(
-                f"{name}: expected 2D points X Y POINT3D_ID of the image above, or an empty line, got {points[:80]!r}"
-            )
+            told = "expected 2D points X Y POINT3D_ID of the image above, or an empty line"
+            raise ValueError(f"{name}: {told}, got {points[:80]!r}")
     return rows
 
 

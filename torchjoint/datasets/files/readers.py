@@ -53,6 +53,8 @@ def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tu
             if not header_only:
                 if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
                     Image.open(io.BytesIO(data), formats=("PNG",)).verify()
+                if image.format == "JPEG" and data.endswith(bytes(64)) and not data.rstrip(b"\0").endswith(b"\xff\xd9"):
+                    raise ValueError("its end is lost, there are zeros in its place")
                 image.load()
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
             Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
