@@ -94,6 +94,17 @@ def test_a_page_that_is_in_a_database_many_times(tmp_path):
         Bag(tmp_path / "walk")
 
 
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_file_that_the_description_does_not_list_is_told(tmp_path, storage):
+    """A recorder that was killed has not listed its last file."""
+    ros_2(tmp_path / "walk", CompressionMode.NONE, storage)
+    Bag(tmp_path / "walk")
+    (whole,) = (tmp_path / "walk").glob("walk.*")
+    shutil.copy(whole, whole.with_stem("walk_1"))
+    with pytest.warns(UserWarning, match=rf"walk: walk_1{whole.suffix}: not in metadata\.yaml, so it is not read"):
+        Bag(tmp_path / "walk")
+
+
 def test_messages_in_a_journal_are_not_left_out(tmp_path):
     """A recorder that was killed leaves its last messages in a file beside the database."""
     ros_2(tmp_path / "walk", CompressionMode.NONE, StoragePlugin.SQLITE3)

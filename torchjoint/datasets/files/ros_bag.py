@@ -11,6 +11,7 @@ import re
 import sqlite3
 import struct
 import sys
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -201,6 +202,9 @@ def _check_files(path: Path) -> int:
     text = read_file(path / "metadata.yaml", "the description of a ROS recording", bounds.YAML_BYTES)
     files = yaml.load(text, yaml.BaseLoader)["rosbag2_bagfile_information"]["relative_file_paths"]
     no_twice((Path(file).name for file in files), "metadata.yaml: file")  # each is opened as often as it is listed
+    listed = {Path(file).name.removesuffix(".zstd") for file in files}
+    for name in sorted({one.name for one in path.iterdir() if one.suffix in SUFFIXES} - listed):
+        warnings.warn(f"{path}: {name}: not in metadata.yaml, so it is not read (`ros2 bag reindex`)", stacklevel=2)
     return sum(file.stat().st_size for file in path.iterdir() if has_file(file))
 
 
