@@ -23,11 +23,11 @@ def test_dtypes_and_sizes():
 def test_masked_arrays_of_numpy():
     """Their masks would be lost without a word, and what they hide would count."""
     hidden = np.ma.masked_array(np.ones((48, 64), np.float32), mask=True)
-    with pytest.raises(TypeError, match="depth.*: expected no masked array, whose mask would be lost"):
+    with pytest.raises(TypeError, match=r"depth.*: expected no masked array, whose mask would be lost"):
         Frame(IMAGE, K, POSE, depth=hidden)
     with pytest.raises(TypeError, match="expected no masked array"):
         superpoints(np.ma.masked_array(np.ones((9, 3)), mask=True))
-    with pytest.raises(TypeError, match="labels: expected a torch.Tensor or a NumPy array, got MaskedArray"):
+    with pytest.raises(TypeError, match=r"labels: expected a torch\.Tensor or a NumPy array, got MaskedArray"):
         from_labels(hidden.astype(int))
 
 
