@@ -207,7 +207,7 @@ def test_corrections_by_hand_are_not_overwritten(tmp_path):
 
 @pytest.mark.parametrize("has_manifest", [False, True])
 @pytest.mark.parametrize("name", ["images/mine/a.png", "images/notes.txt", "pieces/a.npz", "images/7.png"])
-def test_what_a_user_put_into_a_folder_of_a_result_is_not_overwritten(tmp_path, name, has_manifest):
+def test_what_a_user_put_into_its_folders_is_not_overwritten(tmp_path, name, has_manifest):
     out = tmp_path / "out"
     assert run(out)
     write(out, {name: "mine"} | ({"manifest.json": '{"files": {"images/0.png": []}}'} if has_manifest else {}))

@@ -196,7 +196,7 @@ def test_errors_restore(request, manager, openmp):
     assert torch.get_num_threads() == num_threads() == fresh_count() == COUNT
 
 
-def test_a_lazy_sequence_does_not_end_at_an_item_that_cannot_be_read() -> None:
+def test_an_item_that_cannot_be_read_ends_no_loop() -> None:
     """Python takes an IndexError for the end of a sequence: a loop over the frames would miss the rest."""
     items = LazySequence(4, lambda index: [0, 1][index])
     with pytest.raises(RuntimeError, match="item 2 of 4 cannot be read: list index out of range"):
