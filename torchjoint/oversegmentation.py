@@ -25,7 +25,7 @@ from torchjoint.config import SuperpointsConfig
 from torchjoint.runtime.groups import first_places
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import is_double, without_return
+from torchjoint.scene.checks import as_tensor, is_double, without_return
 
 #: A tensor, or a numpy array.
 Values = TypeVar("Values", Tensor, npt.NDArray[Any])
@@ -112,7 +112,7 @@ def superpoints(
     """
     given: list[Any] = [points, colors, normals, edges, faces, ptr, viewpoint]
     if isinstance(points, np.ndarray):
-        given = [_as_tensor(value) for value in given]
+        given = [as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given]
     valid = None
     if drop_invalid or _has_beams(*given):
         valid, given = without_invalid("drop" if drop_invalid else "keep", *given)
@@ -126,10 +126,6 @@ def _has_beams(points: Any, _colors: Any, _normals: Any, edges: Any, faces: Any,
     """Whether a cloud without a graph has beams without return."""
     is_cloud = isinstance(points, Tensor) and points.ndim == 2 and edges is None and faces is None
     return is_cloud and bool(without_return(points).any())
-
-
-def _as_tensor(values: Any) -> Any:
-    return torch.from_numpy(np.array(values, order="C")) if isinstance(values, np.ndarray) else values
 
 
 def _segment_batch(

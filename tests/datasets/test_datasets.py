@@ -106,9 +106,12 @@ def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch, n
         assert torch.equal(scene.colors, fused.colors)
     with pytest.raises(ZeroDivisionError):  # another voxel size is another cloud
         tj.load_scene(recording, voxel_size=0.06)
-    kept.write_bytes(b"ply, but damaged")
-    with pytest.raises(ZeroDivisionError):
-        tj.load_scene(recording, voxel_size=0.05)
+    data = bytearray(kept.read_bytes())
+    data[len(data) // 2] ^= 1  # the coordinate of a point
+    for damaged in (bytes(data), bytes(data[:-1]), b"", b"ply, but damaged"):
+        kept.write_bytes(damaged)
+        with pytest.raises(ZeroDivisionError):
+            tj.load_scene(recording, voxel_size=0.05)
     monkeypatch.undo()
 
 

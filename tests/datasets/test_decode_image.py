@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from torchjoint.datasets.files.readers import decode_image
+from torchjoint.datasets.files.readers import decode_image, read_depth, read_label_image
 
 
 def test_a_flipped_bit_in_a_png_is_an_error(tmp_path):
@@ -17,3 +17,35 @@ def test_a_flipped_bit_in_a_png_is_an_error(tmp_path):
         spoiled[place] ^= 1 << place % 8
         with pytest.raises(ValueError, match=r"^it: not a whole image"):
             decode_image(bytes(spoiled), "it")
+
+
+def test_numbers_that_the_decoder_would_change(tmp_path):
+    """Pillow stretches the numbers of a PGM to its own range: 1 m became 6.5 m; JPEG makes labels of its own."""
+    path, depth, labels = tmp_path / "it.png", np.array([[1000, 2000]], ">u2"), np.array([[1, 20]], "u1")
+    path.write_bytes(b"P5 2 1 65535\n" + depth.tobytes())
+    assert read_depth(path).tolist() == [[1, 2]]
+    path.write_bytes(b"P5 2 1 255\n" + labels.tobytes())
+    assert read_label_image(path).tolist() == [[1, 20]]
+    path.write_bytes(b"P2 2 1 255\n1 20\n")
+    assert read_label_image(path).tolist() == [[1, 20]]
+    for read, start, numbers in (
+        (read_depth, b"P5 2 1 10000\n", depth.tobytes()),
+        (read_label_image, b"P5 2 1 20\n", labels.tobytes()),
+        (read_label_image, b"P2 2 1 20\n", b"1 20\n"),
+    ):
+        path.write_bytes(start + numbers)
+        with pytest.raises(ValueError, match=r"it\.png: .*expected 255 or 65535 as its largest number, got (20|10000)"):
+            read(path)
+    Image.fromarray(np.kron(labels, np.ones((13, 13), np.uint8))).save(path, "JPEG")
+    with pytest.raises(ValueError, match=r"it\.png: expected a grey or palette image of labels, got mode L of JPEG"):
+        read_label_image(path)
+
+
+def test_a_jpeg_whose_end_is_lost(tmp_path):
+    """As an interrupted copy leaves it, where the system has made room for the whole file; Pillow shows grey there."""
+    pixels = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "it.jpg")
+    whole = (tmp_path / "it.jpg").read_bytes()
+    assert decode_image(whole + bytes(99), "it").size == (64, 64)  # some cameras fill the last sector
+    with pytest.raises(ValueError, match="it: not a whole image: its end is lost, there are zeros in its place"):
+        decode_image(whole[:-999] + bytes(999), "it")

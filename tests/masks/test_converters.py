@@ -281,6 +281,9 @@ class TestFiles:
         table.write_text("id,area,predicted_iou,stability_score\n2,4,0.5,0.8\n")
         with pytest.raises(ValueError, match=r"metadata.csv: expected a line with id 10"):
             tj.masks.read_masks(tmp_path)
+        table.write_text("id,area,predicted_iou,stability_score\n" + 2 * "2,4,0.5,0.8\n" + "10,4,1.02,1.0\n")
+        with pytest.raises(ValueError, match=r"metadata.csv: mask '2' is there twice"):
+            tj.masks.read_masks(tmp_path)
         table.write_text("id,area,predicted_iou,stability_score\n2,4,nan,0.8\n10,4,1.02,1.0\n")
         with pytest.raises(ValueError, match=rf"{re.escape(str(tmp_path))}: .*' scores"):
             tj.masks.read_masks(tmp_path)

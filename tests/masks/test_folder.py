@@ -82,6 +82,9 @@ def test_a_coco_file(tmp_path):
         ValueError, match=r"instances\.json: expected images with file_name and id, annotations with image_id"
     ):
         tj.masks.read_folder(path, scene_of("a"))
+    path.write_text(json.dumps({"images": [images[1] | {"id": 0}, images[0]], "annotations": []}))
+    with pytest.raises(ValueError, match=r"instances\.json: .*: image 0 is there twice"):  # both had the masks of both
+        tj.masks.read_folder(path, scene_of("a", "b"))
     path.write_text(json.dumps(annotations))
     with pytest.raises(ValueError, match=r"instances\.json: expected a COCO data set with images and annotations"):
         tj.masks.read_folder(path, scene_of("a"))

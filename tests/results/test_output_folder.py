@@ -205,7 +205,23 @@ def test_corrections_by_hand_are_not_overwritten(tmp_path):
     assert (out / "edits.json").read_text() == "by hand"
 
 
-@pytest.mark.parametrize("name", ["notes.txt", "mine/chair.ply", "images.zip"])
+@pytest.mark.parametrize("has_manifest", [False, True])
+@pytest.mark.parametrize("name", ["images/mine/a.png", "images/notes.txt", "pieces/a.npz", "images/7.png"])
+def test_what_a_user_put_into_its_folders_is_not_overwritten(tmp_path, name, has_manifest):
+    out = tmp_path / "out"
+    assert run(out)
+    write(out, {name: "mine"} | ({"manifest.json": '{"files": {"images/0.png": []}}'} if has_manifest else {}))
+    if name != "images/7.png" or has_manifest:
+        place = "images/mine" if "mine" in name else name
+        with pytest.raises(FileExistsError, match=rf"out/{place}: is of no result of torchjoint; move or delete it"):
+            run(out, overwrite=True, key="other")
+        assert (out / name).read_text() == "mine"
+        (out / name).unlink()
+    (out / "images" / "mine").rmdir() if "mine" in name else None
+    assert run(out, overwrite=True, key="third")
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "mine/chair.ply", "images.zip", ".git/config"])
 def test_what_a_user_put_into_a_result_is_not_overwritten(tmp_path, name):
     out = tmp_path / "out"
     assert run(out)

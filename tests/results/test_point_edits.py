@@ -118,6 +118,11 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
         ('{"point_annotations": [1, 2, 1]}', "annotations: missing"),
         ('{"point_annotations": [1, 2, 1], "annotations": [{"attributes": {"name": 3}}]}', "expected a string, got 3"),
         ('{"point_annotations": [1, 2, 1], "annotations": [{"attributes": {"name": "a"}}]}', "id: missing"),
+        (
+            '{"point_annotations": [1, 2, 1], "annotations": [{"id": 1, "attributes": {"name": "a"}}, '
+            '{"id": 1, "attributes": {"name": "b"}}]}',
+            "object 1 is there twice",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, content, message):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -105,3 +108,35 @@ def test_a_file_that_does_not_say_its_result_is_still_read(out):
     parts, before = opened(out)
     write_edits(out, Edits(parts.count, None, (A,)))
     assert opened(out)[1] == replace(before, steps=(A,))
+
+
+SAVING = """
+import sys
+from dataclasses import replace
+from pathlib import Path
+import torchjoint as tj
+from torchjoint.results.edits import Edit, read_edits
+from torchjoint.results.parts import Parts
+from torchjoint.results.shared_edits import save_edits
+folder = Path(sys.argv[1])
+parts = Parts(tj.load_result(folder, edits=False))
+edits = read_edits(folder, parts.count)
+while True:
+    names = (*edits.steps, Edit("name", (0,), str(len(edits.steps))))
+    edits = save_edits(folder, replace(edits, steps=names), edits, parts)
+    print(len(edits.steps), flush=True)
+"""
+
+
+def test_what_was_saved_survives_a_kill(out):
+    """The viewer saves in this way. Who is killed while it saves loses no more than what it was saving."""
+    for seconds in (0.003, 0.011):
+        saving = subprocess.Popen([sys.executable, "-c", SAVING, str(out)], stdout=subprocess.PIPE, text=True)
+        told = saving.stdout.readline()
+        time.sleep(seconds)
+        saving.kill()
+        told = (told + saving.communicate()[0]).split()
+        steps = opened(out)[1].steps
+        assert len(steps) >= int(told[-1])
+        assert [step.name for step in steps] == [str(number) for number in range(len(steps))]
+    assert tj.load_result(out).segment_names[0] == str(len(steps) - 1)

@@ -2,7 +2,7 @@ import zlib
 
 import pytest
 
-from torchjoint.runtime.foreign_files import damage_is, present
+from torchjoint.runtime.foreign_files import damage_is, parse_json, present
 
 
 def test_a_missing_file(tmp_path):
@@ -28,3 +28,10 @@ def test_other_errors_stay(error):
 def test_one_more_kind():
     with pytest.raises(ValueError, match=r"^a\.npz: not whole: disk$"), damage_is("a.npz: not whole", OSError):
         raise OSError("disk")
+
+
+def test_a_name_that_is_there_twice_in_an_object():
+    """Only the last of its values would be read."""
+    assert parse_json(b'{"a": {"b": 1}, "c": [{"b": 2}]}', "it") == {"a": {"b": 1}, "c": [{"b": 2}]}
+    with pytest.raises(ValueError, match=r"^it: not a whole JSON file: name 'fl_x' is there twice"):
+        parse_json(b'{"frames": [{"fl_x": 1, "fl_y": 2, "fl_x": 3}]}', "it")

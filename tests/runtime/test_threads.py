@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchjoint.runtime import threads
-from torchjoint.runtime.threads import all_threads, num_threads, one_thread_per_operation, parallel_map
+from torchjoint.runtime.threads import LazySequence, all_threads, num_threads, one_thread_per_operation, parallel_map
 
 COUNT = 3
 #: Seconds after which a barrier that nobody else comes to breaks, so that a failure is no endless wait.
@@ -194,3 +194,13 @@ def test_errors_restore(request, manager, openmp):
             leave_by_an_error(manager)
         assert torch.get_num_threads() == 1
     assert torch.get_num_threads() == num_threads() == fresh_count() == COUNT
+
+
+def test_an_item_that_cannot_be_read_ends_no_loop() -> None:
+    """Python takes an IndexError for the end of a sequence: a loop over the frames would miss the rest."""
+    items = LazySequence(4, lambda index: [0, 1][index])
+    with pytest.raises(RuntimeError, match="item 2 of 4 cannot be read: list index out of range"):
+        list(items)
+    assert list(LazySequence(2, lambda index: index)) == [0, 1]
+    with pytest.raises(IndexError):
+        items[4]

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from torchjoint import Frame, Scene
+from torchjoint import Config, Frame, Scene, superpoints
+from torchjoint.masks import from_labels
+from torchjoint.recordings.options import RecordingOptions
 from torchjoint.scene import Truth
 
 K = torch.tensor([[100.0, 0, 31.5], [0, 100, 23.5], [0, 0, 1]])
@@ -16,6 +18,23 @@ def test_dtypes_and_sizes():
     assert frame.intrinsics.dtype == frame.world_to_camera.dtype == torch.float64
     assert frame.depth.dtype == torch.float32
     assert frame.labels.dtype == torch.int64
+
+
+def test_masked_arrays_of_numpy():
+    """Their masks would be lost without a word, and what they hide would count."""
+    hidden = np.ma.masked_array(np.ones((48, 64), np.float32), mask=True)
+    with pytest.raises(TypeError, match=r"depth.*: expected no masked array, whose mask would be lost"):
+        Frame(IMAGE, K, POSE, depth=hidden)
+    with pytest.raises(TypeError, match="expected no masked array"):
+        superpoints(np.ma.masked_array(np.ones((9, 3)), mask=True))
+    with pytest.raises(TypeError, match=r"labels: expected a torch\.Tensor or a NumPy array, got MaskedArray"):
+        from_labels(hidden.astype(int))
+
+
+@pytest.mark.parametrize("thin", [0.0, -1.0, float("nan"), float("inf")])
+def test_lengths_that_thin_nothing_or_all(thin):
+    with pytest.raises(ValueError, match="--thin: expected more than 0 metres, got"):
+        RecordingOptions(thin=thin).check(Config())
 
 
 @pytest.mark.parametrize("channels", [1, 3])

@@ -72,10 +72,8 @@ class Camera:
             name: of the frame.
         """
         size = (image.shape[1], image.shape[2])
-        called = f"image {name!r} of {self.name}"
-        intrinsics = (
-            self.intrinsics if self.size is None else scale_intrinsics(self.intrinsics, self.size, size, called)
-        )
+        what = f"image {name!r} of {self.name}"
+        intrinsics = self.intrinsics if self.size is None else scale_intrinsics(self.intrinsics, self.size, size, what)
         if depth is not None:
             depth = resize_depth(depth, size, name)
         if self.fisheye:
@@ -127,9 +125,8 @@ def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:
 def _check_same_shape(old: tuple[int, int], new: tuple[int, int], name: str) -> None:
     # Sizes are integers: half of 1051 is 525 or 526.
     if abs(new[1] * old[0] - new[0] * old[1]) > max(old):
-        raise ValueError(
-            f"{name}: expected the aspect ratio of {old[1]} x {old[0]} pixels, got {new[1]} x {new[0]}: is it cropped?"
-        )
+        got = f"{new[1]} x {new[0]}: is it cropped?"
+        raise ValueError(f"{name}: expected the aspect ratio of {old[1]} x {old[0]} pixels, got {got}")
 
 
 def undistort(
@@ -174,18 +171,14 @@ def _resample(
         after, columns, rows = lens(intrinsics.numpy(), np.array(distortion, dtype=np.float64), size)
         pixels = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
         straight = cv2.remap(pixels, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        straight_depth = (
-            None if depth is None else cv2.remap(depth.contiguous().numpy(), columns, rows, cv2.INTER_NEAREST)
-        )
+        of_depth = None if depth is None else cv2.remap(depth.contiguous().numpy(), columns, rows, cv2.INTER_NEAREST)
     except cv2.error as error:
         raise ValueError(f"{name}: images of {size[0]} x {size[1]} pixels cannot be undistorted: {error}") from error
     except ArithmeticError as error:
-        raise ValueError(
-            f"{name}: distortion {distortion} cannot be undone in images of {size[0]} x {size[1]} pixels"
-        ) from error
+        raise ValueError(f"{name}: distortion {distortion} cannot be undone in {size[0]} x {size[1]} pixels") from error
     return (
         torch.from_numpy(straight).permute(2, 0, 1),
-        None if straight_depth is None else torch.from_numpy(straight_depth),
+        None if of_depth is None else torch.from_numpy(of_depth),
         torch.from_numpy(after),
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,11 +15,10 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchjoint.datasets.depth_agreement import warn_of_poses
-from torchjoint.datasets.files.clouds import read_cloud_file
-from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.datasets.volume import Volume
 from torchjoint.runtime.files import cache_folder
+from torchjoint.runtime.store import read_values, write_values
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
 from torchjoint.scene.frame import camera_center
@@ -76,9 +75,8 @@ def fuse_cloud(
 
 def _tell_without_depth(without: int, total: int) -> None:
     if without:
-        warnings.warn(
-            f"depth: {without} of {total} frames have no depth image; the cloud is fused from the others", stacklevel=3
-        )
+        told = f"depth: {without} of {total} frames have no depth image; the cloud is fused from the others"
+        warnings.warn(told, stacklevel=3)
 
 
 @_lost_if_interrupted()
@@ -92,9 +90,8 @@ def _fused(frames: Sequence[Frame], voxel_size: float, progress: bool | None) ->
     origin = volume_origin(frames, voxel_size)
     volume = Volume(voxel_size, FAR)
     fused = 0
-    for index in tqdm(
-        range(len(frames)), desc="fuse", unit="frame", disable=None if progress is None else not progress
-    ):
+    is_hidden = None if progress is None else not progress
+    for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=is_hidden):
         frame = frames[index]
         if frame.depth is None:
             continue
@@ -167,26 +164,22 @@ def fuse_or_recall(
         points [N, 3] metres and colours [N, 3] in [0, 1]; the same with and without the cache.
     """
     file = _file(path, voxel_size, how)
-    for cached in file.parent.glob(f"{file.name}-*.ply") if file is not None else ():
-        try:
-            points, colors = read_cloud_file(cached)[:2]
-        except ValueError:
-            break  # a damaged file is written anew
-        _tell_without_depth(int(cached.stem.rpartition("-")[2]), len(frames))
-        return points, colors
-    points, colors, without = _fused(frames, voxel_size, progress)
-    _tell_without_depth(without, len(frames))
-    if file is not None:
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_cloud(file.with_name(f"{file.name}-{without}.ply"), points, colors)
-        except OSError:
-            pass  # the disk is full, or there is no permission: the cloud is fused again next time
-    return points, colors
+    try:
+        kept = {} if file is None else read_values(file)
+    except (OSError, ValueError):  # it is not there, or damaged: it is written anew
+        kept = {}
+    if not kept:
+        kept = dict(zip(("points", "colors", "without"), _fused(frames, voxel_size, progress), strict=True))
+        with suppress(OSError):  # the disk is full, or there is no permission: the cloud is fused again next time
+            if file is not None:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_values(file, kept)
+    _tell_without_depth(kept["without"], len(frames))
+    return kept["points"], kept["colors"]
 
 
 def _file(path: Path, voxel_size: float, how: str) -> Path | None:
-    """Where the cloud is in the cache, without the end of its name: `-`, and the number of frames without depth."""
+    """Where the cloud is in the cache, with a checksum."""
     folder = cache_folder()
     if folder is None:
         return None

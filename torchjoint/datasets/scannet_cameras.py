@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_matrix
-from torchjoint.runtime.foreign_files import has_file, read_text
+from torchjoint.runtime.foreign_files import dict_of, has_file, read_text
 from torchjoint.scene.checks import as_intrinsics
 
 Size = tuple[int, int]
@@ -88,7 +88,7 @@ def _read_info(path: Path) -> Cameras | None:
         lines = [line.partition("=") for line in read_text(path, "a description of a scan").splitlines()]
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: expected lines of text, got {error}") from error
-    values = {name.strip(): value.strip() for name, _, value in lines}
+    values = dict_of([(name.strip(), value.strip()) for name, _, value in lines if value], f"{path}: line")
     if "fx_color" not in values:
         return None
     names = ("fx_color", "fy_color", "mx_color", "my_color", "colorHeight", "colorWidth")

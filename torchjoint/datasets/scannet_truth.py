@@ -72,10 +72,8 @@ def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Seq
 
     The labels are in `instance-filt/N.png`, or in `SCAN_2d-instance-filt.zip` as downloaded; empty if neither exists.
     """
-    names = frames.names
-    read = _folder_reader(folder / "instance-filt", names) or _archive_reader(
-        folder / f"{scan}_2d-instance-filt.zip", names
-    )
+    names, archive = frames.names, folder / f"{scan}_2d-instance-filt.zip"
+    read = _folder_reader(folder / "instance-filt", names) or _archive_reader(archive, names)
     if read is None:
         return ()
     return LazySequence(len(names), lambda i: resize_nearest(read(names[i]) - 1, frames[i].size))

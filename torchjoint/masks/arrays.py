@@ -21,7 +21,7 @@ def as_tensor(values: Any, name: str) -> Tensor:
     """
     if isinstance(values, Tensor):
         return values.detach().cpu()
-    if not isinstance(values, np.ndarray):
+    if not isinstance(values, np.ndarray) or isinstance(values, np.ma.MaskedArray):
         raise TypeError(f"{name}: expected a torch.Tensor or a NumPy array, got {type(values).__name__}")
     if values.dtype.kind not in "biuf":
         raise TypeError(f"{name}: expected numbers or booleans, got dtype {values.dtype}")

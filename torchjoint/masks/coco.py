@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from torchjoint.masks.segmentation import check_declared, merged, pixels_of
-from torchjoint.runtime.foreign_files import damage_is, read_json
+from torchjoint.runtime.foreign_files import damage_is, dict_of, read_json
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
@@ -62,16 +62,13 @@ class CocoFile:
         data = read_json(path, "a COCO data set")
         if not isinstance(data, dict) or not {"images", "annotations"} <= set(data):
             raise ValueError(f"{path}: expected a COCO data set with images and annotations")
-        try:
+        with damage_is(f"{path}: expected images with file_name and id, annotations with image_id"):
             self._images = {Path(image["file_name"]).stem: image for image in data["images"]}
-            self._annotations: dict[Any, list[Any]] = {image["id"]: [] for image in data["images"]}
+            self._annotations = dict_of([(image["id"], []) for image in data["images"]], "image")
             for annotation in data["annotations"]:
                 self._annotations[annotation["image_id"]].append(annotation)
-            self._categories = {one["id"]: str(one["name"]) for one in data.get("categories", []) if "name" in one}
-        except (KeyError, TypeError) as error:
-            raise ValueError(
-                f"{path}: expected images with file_name and id, annotations with image_id: {error}"
-            ) from error
+            named = [(one["id"], str(one["name"])) for one in data.get("categories", []) if "name" in one]
+            self._categories = dict_of(named, "category")
         if len(self._images) < len(data["images"]):
             raise ValueError(f"{path}: expected images with different file names, got two of one name")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -23,7 +22,7 @@ from torchjoint.masks.segmentation import Pixels, merged, pixels_of
 from torchjoint.runtime import bounds
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
-from torchjoint.runtime.foreign_files import DAMAGE, has_file, has_folder, is_there, read_json, read_text
+from torchjoint.runtime.foreign_files import DAMAGE, dict_of, has_file, has_folder, is_there, read_json, read_text
 from torchjoint.runtime.threads import LazySequence, on_cpu, parallel_map
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.masks import Masks
@@ -139,7 +138,8 @@ def _scores(path: Path, ids: list[str]) -> list[float] | None:
     if not has_file(path):
         return None
     try:
-        rows = {row.get("id"): row for row in csv.DictReader(io.StringIO(read_text(path, "scores of masks")))}
+        table = csv.DictReader(read_text(path, "scores of masks").split("\n"))
+        rows = dict_of([(row.get("id"), row) for row in table], f"{path}: mask")
     except csv.Error as error:
         raise ValueError(f"{path}: expected a table: {error}") from error
     scores = []

@@ -50,7 +50,7 @@ class RecordingOptions:
         """Raises ValueError if an option is out of range, or does not fit the parameters."""
         if self.max_frames is not None and self.max_frames < 0:
             raise ValueError(f"--max-frames: expected >= 0, got {self.max_frames}")
-        if self.thin is not None and not self.thin > 0:
+        if self.thin is not None and not 0 < self.thin < float("inf"):
             raise ValueError(f"--thin: expected more than 0 metres, got {self.thin}")
         if self.granularity is None:
             return

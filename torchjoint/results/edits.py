@@ -183,9 +183,7 @@ def first_pieces(table: Table) -> Table:
 
 def write_edits(folder: Path, edits: Edits) -> None:
     """Writes edits.json into a result's folder; the file is replaced as a whole."""
-    steps = [
-        asdict(step) if step.kind == "name" else {"kind": step.kind, "pieces": step.pieces} for step in edits.steps
-    ]
+    steps = [asdict(one) if one.kind == "name" else {"kind": one.kind, "pieces": one.pieces} for one in edits.steps]
     lines = ",\n".join(json.dumps(step, ensure_ascii=False) for step in steps)
     head = f'"result": {json.dumps(edits.of)}, "pieces": {edits.num_pieces}'
     head = f'{head}, "granularity": {json.dumps(edits.granularity)}'

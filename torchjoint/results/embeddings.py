@@ -256,9 +256,8 @@ def read_embeddings(folder: Path, num_points: int) -> Embeddings | None:
         return None
     found = Embeddings.load(folder / FILE)
     if len(found.labels) != num_points:
-        raise ValueError(
-            f"{folder / FILE}: expected labels of {num_points} points, got {len(found.labels)}; of another result?"
-        )
+        got = f"{len(found.labels)}; of another result?"
+        raise ValueError(f"{folder / FILE}: expected labels of {num_points} points, got {got}")
     return found
 
 

@@ -111,10 +111,9 @@ def write_result(
     packed = parallel_map(lambda index: pack(result.images[index]), range(len(result.images)))
     result, scene = replace(result, images=LabelImages(packed)).labelled(scene)
     write_cloud(folder / "points.ply", scene.points, label_colors(result.points), result.points)
-    arrays = {"points": scene.points, "labels": result.points} | (
-        {} if scene.colors is None else {"colors": scene.colors}
-    )
-    np.savez_compressed(folder / "points.npz", **{key: value.numpy() for key, value in arrays.items()})  # type: ignore[arg-type]
+    arrays = {"points": scene.points, "labels": result.points, "colors": scene.colors}
+    stored = {key: value.numpy() for key, value in arrays.items() if value is not None}
+    np.savez_compressed(folder / "points.npz", **stored)  # type: ignore[arg-type]
     last_label = _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
         write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.piece_images)

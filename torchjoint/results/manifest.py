@@ -27,11 +27,10 @@ from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import Votes
 
 FILE, RUN = "manifest.json", "run.yaml"
-#: The files that are checked when a result is opened, and those that are checked when they are read.
-AT_ONCE, WHEN_READ = (
-    ("points.npz", "hierarchy.npz", "cameras.json", "masks.json"),
-    ("images/*.png", "pieces/*.png", "inputs/*.jpg"),
-)
+#: The files that are checked when a result is opened.
+AT_ONCE = ("points.npz", "hierarchy.npz", "cameras.json", "masks.json")
+#: Those that are checked when they are read.
+WHEN_READ = ("images/*.png", "pieces/*.png", "inputs/*.jpg")
 
 #: A function that returns the path of a result's file, or raises ValueError if it is not what was written.
 Check = Callable[[Path], Path]
@@ -158,11 +157,8 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
     with damage_is(f"{file}: not a whole hierarchy", OSError):
         arrays = read_archive(file)
         piece, merges = (torch.from_numpy(arrays[name].astype(np.int64)) for name in ("piece", "merges"))
-        votes = (
-            Votes(*(torch.from_numpy(arrays[name].astype(np.int64)) for name in _VOTES))
-            if _VOTES[0] in arrays
-            else None
-        )
+        found = [torch.from_numpy(arrays[name].astype(np.int64)) for name in _VOTES if name in arrays]
+        votes = Votes(*found) if found else None
         hierarchy = Hierarchy(piece, merges, torch.from_numpy(arrays["heights"]), float(arrays["default"]), votes)
     if len(hierarchy.piece) != num_points:
         raise ValueError(f"{file}: expected a hierarchy of {num_points} points, got {len(hierarchy.piece)}")

@@ -100,9 +100,8 @@ class Relations:
     def load(cls, folder: str | Path) -> Relations:
         """Reads what :meth:`save` wrote."""
         content, labels = read_segments(Path(folder))
-        with damage_is(
-            f"{Path(folder) / FILE}: expected relations, as `torchjoint export {folder} --format graph` adds them"
-        ):
+        told = f"expected relations, as `torchjoint export {folder} --format graph` adds them"
+        with damage_is(f"{Path(folder) / FILE}: {told}"):
             found = tuple(Relation(**one) for one in content["relations"])
             for one in found:
                 _check(one, int(labels.max()))

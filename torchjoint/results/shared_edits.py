@@ -16,6 +16,7 @@ from torchjoint.results.boxes import UNNAMED, Box, boxes_of
 from torchjoint.results.edits import FILE, Edit, Edits, read_edits, write_edits
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
+from torchjoint.runtime.foreign_files import dict_of
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.outputs import lock
 
@@ -37,7 +38,7 @@ def read_point_labels(file: Path, num_points: int) -> PointLabels | None:
     record = record.record("attributes") if "attributes" in record else record  # of a whole label
     if "point_annotations" not in record:
         return None
-    of_point, names = record.integers("point_annotations"), {}
+    of_point, names = record.integers("point_annotations"), []
     if len(of_point) != num_points:
         raise ValueError(f"{file}: point_annotations: expected ids >= 0 of {num_points} points, got {len(of_point)}")
     if (lowest := int(of_point.min(initial=0))) < 0:
@@ -45,8 +46,8 @@ def read_point_labels(file: Path, num_points: int) -> PointLabels | None:
     for one in record.records("annotations"):
         if "attributes" in one and "name" in one.record("attributes"):
             name = one.record("attributes").text("name").strip()
-            names[int(one.number("id"))] = printable(name)
-    return PointLabels(of_point, names)
+            names.append((int(one.number("id")), printable(name)))
+    return PointLabels(of_point, dict_of(names, f"{file}: object"))
 
 
 def edits_of_points(parts: Parts, before: Edits, labels: PointLabels) -> tuple[tuple[Edit, ...], int]:

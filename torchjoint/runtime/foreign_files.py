@@ -55,8 +55,7 @@ def has_file(path: Path) -> bool:
 
 def has_folder(path: Path) -> bool:
     """Whether a path leads to a folder."""
-    mode = _mode(path)
-    return mode is not None and stat.S_ISDIR(mode)
+    return stat.S_ISDIR(_mode(path) or 0)
 
 
 def or_unreadable(is_one: Callable[[Path], bool], path: Path) -> bool:
@@ -118,7 +117,7 @@ def parse_json(data: bytes, name: str) -> Any:
     """Reads the bytes of a JSON file."""
     bounds.check(sum(map(data.count, (b",", b"[", b"{"))), bounds.JSON_VALUES, "values", name)
     with damage_is(f"{name}: not a whole JSON file"):
-        return json.loads(data)
+        return json.loads(data, object_pairs_hook=dict_of)
 
 
 @contextmanager
@@ -159,7 +158,14 @@ def _check_links(path: Path) -> None:
             return
 
 
-def no_twice(names: Iterable[str], what: str) -> None:
+def dict_of(pairs: Sequence[tuple[Any, Any]], what: str = "name") -> dict[Any, Any]:
+    """Pairs of a name and a value as a dict; errors as of :func:`no_twice`."""
+    if len(made := dict(pairs)) < len(pairs):
+        no_twice((name for name, _ in pairs), what)
+    return made
+
+
+def no_twice(names: Iterable[object], what: str) -> None:
     """Checks that no name occurs twice: only one of the two would be read."""
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
@@ -174,9 +180,7 @@ _FORMULA = re.compile(r'(^|(?<=[;\t\r\n"]))(?=[=+\-@\t\r])')
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
     """Rows as text. A text that a spreadsheet would compute gets apostrophes: names come from others."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([_safe(cell) for cell in row] for row in rows)
+    csv.writer(text, lineterminator="\n").writerows(
+        [_FORMULA.sub("'", cell) if isinstance(cell, str) else cell for cell in row] for row in rows
+    )
     return text.getvalue()
-
-
-def _safe(cell: object) -> object:
-    return _FORMULA.sub("'", cell) if isinstance(cell, str) else cell

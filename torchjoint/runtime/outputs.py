@@ -43,9 +43,8 @@ class Lock(NamedTuple):
     def check(self) -> None:
         """Raises LostError unless it is held; comes before a step that must not meet that of another run."""
         if not self.is_held():
-            raise LostError(
-                f"{self.path}: was removed while this run worked; another run may have taken its files; start again"
-            )
+            told = "was removed while this run worked; another run may have taken its files; start again"
+            raise LostError(f"{self.path}: {told}")
 
 
 def _opened(path: Path) -> int:

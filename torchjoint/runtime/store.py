@@ -213,10 +213,8 @@ class SpillFile:
 
 
 def _default_folder() -> Path:
-    chosen = Path("/var/tmp")
-    if os.environ.get("TMPDIR") or not os.access(chosen, os.W_OK | os.X_OK):
-        return Path(tempfile.gettempdir())
-    return chosen
+    is_other = os.environ.get("TMPDIR") or not os.access("/var/tmp", os.W_OK | os.X_OK)
+    return Path(tempfile.gettempdir() if is_other else "/var/tmp")
 
 
 def write_values(path: Path, values: Mapping[str, Any]) -> None:
@@ -252,9 +250,8 @@ def _check_pickle(content: bytes) -> None:
         bounds.check(stored, len(content), "bytes, for torch packs nothing,")
         for entry in archive.infolist():
             for code, argument, _ in pickletools.genops(archive.read(entry)) if entry.filename.endswith(".pkl") else ():
-                if code.name in ("STACK_GLOBAL", "INST") or (
-                    code.name == "GLOBAL" and not _CALLED.fullmatch(str(argument))
-                ):
+                is_known = code.name == "GLOBAL" and _CALLED.fullmatch(str(argument))
+                if code.name in ("STACK_GLOBAL", "INST", "GLOBAL") and not is_known:
                     raise ValueError(f"expected tensors, numbers and texts, got {argument or code.name}")
 
 

@@ -197,11 +197,7 @@ def ahead(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
         >>> list(ahead(lambda number: number**2, range(4)))
         [0, 1, 4, 9]
     """
-
-    def on_one_thread(item: T) -> R:
-        with one_thread_per_operation():
-            return function(item)
-
+    on_one_thread = one_thread_per_operation()(function)
     with ThreadPoolExecutor(1) as pool:
         pending: list[Future[R]] = []
         for item in items:
@@ -233,4 +229,8 @@ class LazySequence(Sequence[T]):
         with on_cpu():
             if isinstance(index, slice):
                 return [self._read(i) for i in self._indices[index]]
-            return self._read(self._indices[index])
+            place = self._indices[index]
+            try:
+                return self._read(place)
+            except IndexError as error:  # a loop over the sequence would end there, without a word
+                raise RuntimeError(f"item {place} of {len(self)} cannot be read: {error}") from error

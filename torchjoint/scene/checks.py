@@ -126,7 +126,9 @@ def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Te
 
 
 def as_tensor(value: npt.NDArray[Any], name: str) -> Tensor:
-    """The tensor of a NumPy array; TypeError if its numbers have a type that tensors do not have."""
+    """The tensor of a NumPy array; TypeError if its numbers have a type that tensors do not have, or a mask."""
+    if isinstance(value, np.ma.MaskedArray):
+        raise TypeError(f"{name}: expected no masked array, whose mask would be lost; give filled(...)")
     try:
         return torch.from_numpy(np.array(value, order="C"))  # a copy: the array may be read-only, or change
     except TypeError as error:

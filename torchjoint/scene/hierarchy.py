@@ -150,9 +150,7 @@ class Hierarchy:
     def _check_votes(self, segments: Tensor, size: Tensor) -> None:
         count = self.num_pieces
         if segments.dtype != torch.int64 or segments.dim() != 2 or not len(segments) or segments.shape[1] != count:
-            raise ValueError(
-                f"votes: expected segments [T, {count}] int64, got {segments.dtype} {list(segments.shape)}"
-            )
+            raise ValueError(f"votes: expected segments [T, {count}] int64, got {segments.dtype} {[*segments.shape]}")
         if not 0 <= int(segments.min()) <= int(segments.max()) < count:
             raise ValueError(f"votes: expected segments in [0, {count})")
         if size.dtype != torch.int64 or size.shape != (count,) or int(size.min()) < 1:

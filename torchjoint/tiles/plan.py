@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.datasets.files.las import LasPoints, las_points, open_las
+from torchjoint.datasets.files.las import LasPoints, las_points, open_las, tell_unit
 from torchjoint.scene.cloud import full_brightness
 
 #: Mean number of points in a cell, and most cells: small enough to cut tiles along cells, and few enough for memory.
@@ -85,6 +85,7 @@ def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.ND
     lows, highs, num_points = [], [], 0
     for path in files:
         with open_las(path) as reader:
+            tell_unit(reader, path)
             lows.append(reader.header.mins)
             highs.append(reader.header.maxs)
             num_points += reader.header.point_count

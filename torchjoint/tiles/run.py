@@ -177,9 +177,7 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
     if twice := [name for name, count in names.items() if count > 1]:
         raise ValueError(f"{cloud}: a .laz and a .copc.laz would both become {twice[0]}; rename one of them")
     if out.is_dir() and (others := {path.name for path in out.iterdir()} - set(names)):
-        raise FileExistsError(
-            f"{out}: expected only files of an earlier result, got {min(others)}; it will not be replaced"
-        )
+        raise FileExistsError(f"{out}: expected only files of an earlier result, got {min(others)}; it is kept")
 
 
 def _result_name(file: Path) -> str:

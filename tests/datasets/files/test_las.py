@@ -1,10 +1,13 @@
 """LAS: the code of a survey's coordinate system."""
 
+import warnings
+
 import laspy
 import pytest
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct, WktCoordinateSystemVlr
 
-from torchjoint.datasets.files.las import epsg_of
+from torchjoint.datasets.files.las import epsg_of, read_las
+from torchjoint.tiles.plan import _bounds
 
 UTM = 'PROJCS["UTM 32N",GEOGCS["WGS 84",AUTHORITY["EPSG","4326"]],UNIT["metre",1,AUTHORITY["EPSG","9001"]]'
 HEIGHT = 'VERT_CS["DHHN2016",AUTHORITY["EPSG","7837"]]'
@@ -31,8 +34,35 @@ def keys(**values):
     ],
 )
 def test_the_code_of_the_coordinate_system(tmp_path, record, code):
+    assert epsg_of(las(tmp_path / "a.las", record)) == code
+
+
+def las(path, record):
     cloud = laspy.LasData(laspy.LasHeader(point_format=3))
     cloud.x = cloud.y = cloud.z = [0.0, 1, 2]
     cloud.header.vlrs.extend([] if record is None else [record])
-    cloud.write(tmp_path / "a.las")
-    assert epsg_of(tmp_path / "a.las") == code
+    cloud.write(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("record", "unit"),
+    [
+        (WktCoordinateSystemVlr('PROJCS["Texas",GEOGCS["NAD83"],UNIT["US survey foot",0.304800609601219]]'), "feet"),
+        (WktCoordinateSystemVlr(f'COMPD_CS["both",{UTM}],VERT_CS["NAVD88",UNIT["foot",0.3048]]]'), "feet"),
+        (WktCoordinateSystemVlr('GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]]'), "degrees"),
+        (WktCoordinateSystemVlr(f'COMPD_CS["both", GEOGCS["WGS 84"],{HEIGHT}]'), "degrees"),
+        (keys(k1024=1, k3072=2277, k3076=9003), "feet"),
+        (keys(k1024=2, k2048=4326), "degrees"),
+        (WktCoordinateSystemVlr(f"{UTM}]"), None),
+        (keys(k1024=1, k3072=2056, k3076=9001), None),
+    ],
+)
+def test_lengths_that_are_no_metres(tmp_path, record, unit):
+    path = las(tmp_path / "a.las", record)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        read_las(path)
+        _bounds([path])
+    message = f"{path}: its coordinate system has {unit}; they are taken as metres"
+    assert [str(one.message) for one in told] == ([] if unit is None else [message] * 2)

@@ -30,6 +30,13 @@ def test_archives_and_folders_read_the_same(archive, tmp_path):
         assert {name: files.read(name, 1000) for name in files.names} == CONTENT
 
 
+def test_a_file_that_is_there_twice(archive):
+    with zipfile.ZipFile(archive, "a") as opened, pytest.warns(UserWarning, match="Duplicate name"):
+        opened.writestr("a", b"another")
+    with pytest.raises(ValueError, match=r"a\.zip: not a whole archive: file 'a' is there twice"):
+        Members(archive)
+
+
 def test_large_and_missing_files(archive, tmp_path):
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "c").write_bytes(bytes(1000))

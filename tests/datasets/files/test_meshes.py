@@ -175,6 +175,36 @@ def test_places_in_a_texture_are_no_colours(tmp_path):
     assert read_cloud_file(tmp_path / "a.obj").colors is None
 
 
+QUAD = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "faces"),
+    [
+        (f"{QUAD}f -4 -3 -2\n", [[0, 1, 2]]),
+        (f"{QUAD}f 1 2 3\n  f 2 4 3\n", [[0, 1, 2], [1, 3, 2]]),  # it was left out
+        (f"{QUAD}f 1 2 \\\n 3\n", [[0, 1, 2]]),
+        (f"{QUAD}f -4 -3 -2\n{QUAD}f -4 -3 -2\n", "behind all vertices, where they count back"),
+        (f"{QUAD}f 1 2 3\nf 2 4\n", "at least three vertices, got 'f 2 4'"),
+    ],
+)
+def test_faces_of_an_obj(tmp_path, text, faces):
+    (tmp_path / "a.obj").write_text(text)
+    if isinstance(faces, str):
+        with pytest.raises(ValueError, match=faces):
+            read_cloud_file(tmp_path / "a.obj")
+    else:
+        assert read_cloud_file(tmp_path / "a.obj").faces.tolist() == faces
+
+
+@pytest.mark.parametrize("rows", ["0 0 0\n1 0 0\n0 1 0\n1 1 0\n3 0 1 2\n", "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 1 2 0\n"])
+def test_an_off_that_is_truncated(tmp_path, rows):
+    """The first face of the second one would be a vertex."""
+    (tmp_path / "a.off").write_text(f"OFF\n4 2 0\n{rows}")
+    with pytest.raises(ValueError, match=r"a\.off: expected 2 rows of faces, as its head tells, got 1"):
+        read_cloud_file(tmp_path / "a.off")
+
+
 @pytest.mark.parametrize("kind", ["white", "plain", "textured"])
 def test_vertices_and_a_material_have_colours(tmp_path, kind):
     """As Blender writes them: the colour is the product."""
@@ -223,6 +253,9 @@ def test_strips_of_a_ply(tmp_path, encoding):
         (lambda tree: tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco"),
         (lambda tree: tree.update(extensionsRequired=["EXT_meshopt_compression"]), "extension EXT_meshopt"),
         (lambda tree: tree["accessors"][0].update(sparse={"count": 1}), "sparse accessors"),
+        (lambda tree: tree["accessors"][0].pop("bufferView"), "accessors without data"),
+        (lambda tree: tree["accessors"][0].update(type="VEC4", count=6), "positions that are no triples"),
+        (lambda tree: tree["nodes"][0].update(extensions={"EXT_mesh_gpu_instancing": {}}), "many instances of a node"),
         (lambda tree: tree["accessors"][0].update(normalized=True), "normalized positions"),
         (lambda tree: tree["meshes"][0]["primitives"][0].update(mode=6), "fans of triangles"),
         (lambda tree: tree["nodes"][0].update(skin=0), "skins"),
@@ -248,3 +281,58 @@ def test_kinds_that_are_not_read(change, told, tmp_path):
     path.write_text(json.dumps(tree))
     with pytest.raises(ValueError, match=f"expected a plain mesh, got {told}"):
         meshes.read_mesh_file(path)
+
+
+def colored_gltf(path, colors, kind, *, has_faces, material=None):
+    """A triangle or three points; `kind` is glTF's number of the colours' type."""
+    raw = PLANE[:3].astype("<f4").tobytes() + colors.tobytes()
+    views = [{"buffer": 0, "byteOffset": start, "byteLength": size} for start, size in ((0, 36), (36, colors.nbytes))]
+    tree = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}, "mode": 4 * has_faces}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+                      {"bufferView": 1, "componentType": kind, "count": 3, "type": "VEC4", "normalized": True}],
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(raw), "uri": f"data:;base64,{base64.b64encode(raw).decode()}"}],
+    }  # fmt: skip
+    if material is not None:
+        tree["materials"], tree["meshes"][0]["primitives"][0]["material"] = [{"pbrMetallicRoughness": material}], 0
+    path.write_text(json.dumps(tree))
+    return path
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{"has_faces": False}, {"has_faces": True}, {"has_faces": True, "material": {"baseColorFactor": [1, 1, 1, 1]}}],
+)
+@pytest.mark.parametrize("color", [(40000, 20000, 600), (250, 130, 0)])
+def test_colours_of_16_bits_in_a_gltf(how, color, tmp_path):
+    """As Blender writes them; the library keeps the low bytes. Those of a dark part are no 8 bits."""
+    colors = np.tile(np.array([*color, 65535], "<u2"), (3, 1))
+    read = read_cloud_file(colored_gltf(tmp_path / "a.gltf", colors, 5123, **how))
+    np.testing.assert_allclose(read.colors, np.tile(np.array(color) / 65535, (3, 1)), atol=3e-3)
+
+
+def test_colours_that_the_library_reads_wrongly(tmp_path):
+    signed = colored_gltf(tmp_path / "a.gltf", np.full((3, 4), 100, "i1"), 5120, has_faces=False)
+    with pytest.raises(ValueError, match="got odd integers as colours"):
+        read_cloud_file(signed)
+    bright = colored_gltf(
+        tmp_path / "b.gltf", np.full((3, 4), 1.5, "<f4"), 5126, has_faces=True, material={"baseColorFactor": [1] * 4}
+    )
+    assert bool((read_cloud_file(bright).colors == 1).all())  # it was taken modulo 256
+    still, turned = ({"KHR_texture_transform": {"scale": [1, up], "offset": [0, 0]}} for up in (1, -1))
+    texture = {"index": 0, "texCoord": 0}
+    for change, is_moved in (({"texCoord": 1}, True), ({"extensions": turned}, True), ({"extensions": still}, False)):
+        assert meshes._is_moved({"pbrMetallicRoughness": {"baseColorTexture": texture | change}}) == is_moved
+    moved = {"baseColorTexture": {"index": 0, "texCoord": 1}}
+    with pytest.raises(ValueError, match="got textures that are moved"):
+        read_cloud_file(colored_gltf(tmp_path / "c.gltf", np.ones((3, 4), "<f4"), 5126, has_faces=True, material=moved))
+
+
+def test_a_texture_and_a_factor_of_a_glb(tmp_path):
+    """The colour is the product of both."""
+    one = part("textured", (255, 100, 255))
+    one.visual.material.baseColorFactor = [0, 255, 255, 255]
+    read = read_cloud_file(glb(tmp_path / "a.glb", one))
+    np.testing.assert_allclose(read.colors, np.tile([0, 100 / 255, 1], (len(PLANE), 1)), atol=1e-6)

@@ -1,7 +1,9 @@
 """Packed ROS recordings: what they hold is read, and what becomes too much is an error before it fills the memory."""
 
 import bz2
+import shutil
 import sqlite3
+import struct
 from contextlib import closing
 
 import pytest
@@ -71,6 +73,52 @@ def test_a_database_that_computes(change, tmp_path):
         database.executescript(change)
     with pytest.raises(ValueError, match=r"walk: not a whole ROS recording: .* computed, maybe without end"):
         Bag(tmp_path / "walk").first("/text")
+
+
+def test_a_page_that_is_in_a_database_many_times(tmp_path):
+    """A table of four such levels has 10^11 rows in 340 kB; to count them takes days, and Ctrl-C does not end it."""
+    ros_2(tmp_path / "walk", CompressionMode.NONE, StoragePlugin.SQLITE3)
+    file = tmp_path / "walk" / "walk.db3"
+    with closing(sqlite3.connect(file)) as database:
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+        (size,) = database.execute("PRAGMA page_size").fetchone()
+    data, count = bytearray(file.read_bytes()), file.stat().st_size // size
+    place = slice((root - 1) * size, root * size)
+    leaf, table = data[place], bytearray(size)
+    child = struct.pack(">IB", count + 1, 127)  # the new page, and the largest key in it
+    table[:12] = struct.pack(">BHHHBI", 5, 0, 600, size - 8, 0, count + 1)
+    table[12:1212], table[size - 8 : size - 3] = 600 * struct.pack(">H", size - 8), child
+    data[place], data[28:32] = table, struct.pack(">I", count + 1)
+    file.write_bytes(data + leaf)
+    with pytest.raises(ValueError, match=r"walk: not a whole ROS recording: .*expected a whole database, got .*page"):
+        Bag(tmp_path / "walk")
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_file_that_the_description_does_not_list_is_told(tmp_path, storage):
+    """A recorder that was killed has not listed its last file."""
+    ros_2(tmp_path / "walk", CompressionMode.NONE, storage)
+    Bag(tmp_path / "walk")
+    (whole,) = (tmp_path / "walk").glob("walk.*")
+    shutil.copy(whole, whole.with_stem("walk_1"))
+    with pytest.warns(UserWarning, match=rf"walk: walk_1{whole.suffix}: not in metadata\.yaml, so it is not read"):
+        Bag(tmp_path / "walk")
+
+
+def test_messages_in_a_journal_are_not_left_out(tmp_path):
+    """A recorder that was killed leaves its last messages in a file beside the database."""
+    ros_2(tmp_path / "walk", CompressionMode.NONE, StoragePlugin.SQLITE3)
+    with closing(sqlite3.connect(tmp_path / "walk" / "walk.db3")) as database:
+        database.executescript(
+            "PRAGMA journal_mode = wal; INSERT INTO messages SELECT 9, topic_id, 9, data FROM messages"
+        )
+        shutil.copytree(tmp_path / "walk", tmp_path / "killed")
+    for path in (tmp_path / "killed", tmp_path / "killed" / "walk.db3"):
+        with pytest.raises(ValueError, match=r"expected a database that was closed, got walk\.db3-wal beside it"):
+            Bag(path)
+    with closing(sqlite3.connect(tmp_path / "killed" / "walk.db3")) as database:
+        database.execute("SELECT count(*) FROM messages").fetchall()
+    assert len(list(Bag(tmp_path / "killed").messages("/text"))) == 2
 
 
 @pytest.mark.parametrize("name", ["a#b", "a?b", "100% of it", "a%41", "..%2fother%2f"])

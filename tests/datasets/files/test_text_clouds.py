@@ -101,6 +101,24 @@ def test_names_with_units(tmp_path, head):
     assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[3, 2, 1]]
 
 
+@pytest.mark.parametrize("head", ["x [mm],y [mm],z [mm]", "# X(ft) Y(ft) Z(ft)", "x (deg);y (deg);z (m)"])
+def test_units_that_are_no_metres(tmp_path, head):
+    (tmp_path / "a.csv").write_text(f"{head}\n1,2,3\n")
+    with pytest.warns(UserWarning, match=r"(?i)a\.csv: x ?.(mm|ft|deg).: taken as metres"):
+        assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1, 2, 3]]
+
+
+def test_decimal_commas_in_quotes(tmp_path):
+    """They were taken for twice as many columns: three places became x y z r g b."""
+    (tmp_path / "a.csv").write_text('"1,5","2,5","3,5"\n')
+    with pytest.raises(ValueError, match=r"a\.csv: expected decimal points, got commas inside of quotes"):
+        read_cloud_file(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text('"1,5";"2,5";"3,5"\n')
+    assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1.5, 2.5, 3.5]]
+    (tmp_path / "a.csv").write_text('"1.5","2.5","3.5"\n')
+    assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1.5, 2.5, 3.5]]
+
+
 @pytest.mark.parametrize("by", [" ", ","])
 def test_single_unknown_values(tmp_path, by):
     """They are NaN, or empty as pandas writes them."""

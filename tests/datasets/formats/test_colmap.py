@@ -333,6 +333,7 @@ class TestClouds:
         ("cameras", "3 PINHOLE 160 120 1 2 3\n", r"cameras\.txt: line 1: expected 4 parameters of PINHOLE, got 3"),
         ("cameras", "3 PINHOLE 16.5 120 1 2 3 4\n", r"cameras\.txt: line 1: expected an integer, got '16\.5'"),
         ("cameras", "3 PINHOLE 160 120 1 2 3 x\n", r"cameras\.txt: line 1: expected finite numbers, got '1 2 3 x'"),
+        ("cameras", 2 * "3 PINHOLE 160 120 1 2 3 4\n", r"cameras\.txt: camera 3 is there twice"),
         ("images", "# x\n\n1 1 0 0 0 0 0 3 0.png\n", r"images\.txt: line 3: expected IMAGE_ID QW QX QY QZ TX TY TZ"),
         ("images", "1 1 1 0 0 0 0 0 3 0.png\n", r"images\.txt: expected unit quaternions, got 1 others, such as"),
         (

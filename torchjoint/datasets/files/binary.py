@@ -48,9 +48,7 @@ class BinaryFile:
         """Reads an unsigned 64-bit count of the records that follow; each record has at least `smallest` bytes."""
         (count,) = self.read("Q")
         if count * smallest > self.size - self.place:
-            raise ValueError(
-                f"{self.path}: truncated: {count} records at byte {self.place} are more than the file holds"
-            )
+            raise ValueError(f"{self.path}: truncated: {count} records at byte {self.place} are more than it holds")
         return int(count)
 
     def text(self, longest: int = 4096) -> str:
@@ -71,6 +69,5 @@ class BinaryFile:
     def finish(self) -> None:
         """Checks that the file has no more bytes."""
         if self.place != self.size:
-            raise ValueError(
-                f"{self.path}: expected the end at byte {self.place}, got {self.size - self.place} more bytes"
-            )
+            rest = self.size - self.place
+            raise ValueError(f"{self.path}: expected the end at byte {self.place}, got {rest} more bytes")

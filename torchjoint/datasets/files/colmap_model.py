@@ -20,7 +20,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera, pinhole_matrix, rotations_from_quaternions
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.text import parse_integer, parse_numbers, read_lines
-from torchjoint.runtime.foreign_files import has_file
+from torchjoint.runtime.foreign_files import dict_of, has_file
 
 #: Camera models; the index is the model's number in binary files.
 MODELS = (
@@ -91,9 +91,7 @@ def read_points(folder: Path) -> tuple[Tensor, Tensor]:
     values = torch.tensor([row[1:] for row in sorted(rows)], dtype=torch.float64)
     colors = values[:, 3:]
     if not ((colors >= 0) & (colors <= 255)).all():
-        raise ValueError(
-            f"{file}: expected colours of 0 to 255, got {float(colors.min()):g} to {float(colors.max()):g}"
-        )
+        raise ValueError(f"{file}: expected colours of 0 to 255, got {colors.min():g} to {colors.max():g}")
     return values[:, :3], colors.to(torch.uint8)
 
 
@@ -130,7 +128,7 @@ def _check_model(model: str, name: str) -> tuple[int, int]:
 
 
 def _cameras_of_text(path: Path) -> dict[int, Camera]:
-    cameras = {}
+    cameras = []
     for name, line in read_lines(path, "COLMAP's cameras"):
         if not line:
             continue
@@ -138,8 +136,8 @@ def _cameras_of_text(path: Path) -> dict[int, Camera]:
         if len(words) < 5:
             raise ValueError(f"{name}: expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, got {line[:100]!r}")
         key, width, height = (parse_integer(word, name) for word in (words[0], words[2], words[3]))
-        cameras[key] = _camera(words[1], width, height, parse_numbers(words[4:], name), name)
-    return cameras
+        cameras.append((key, _camera(words[1], width, height, parse_numbers(words[4:], name), name)))
+    return dict_of(cameras, f"{path}: camera")
 
 
 def _images_of_text(path: Path) -> list[_Row]:
@@ -154,9 +152,8 @@ def _images_of_text(path: Path) -> list[_Row]:
         rows.append(_Row(parse_numbers(words[1:8], name), parse_integer(words[8], name), words[9]))
         name, points = next(lines, (name, ""))
         if len(points.split()) % 3:
-            raise ValueError(
-                f"{name}: expected 2D points X Y POINT3D_ID of the image above, or an empty line, got {points[:80]!r}"
-            )
+            told = "expected 2D points X Y POINT3D_ID of the image above, or an empty line"
+            raise ValueError(f"{name}: {told}, got {points[:80]!r}")
     return rows
 
 
@@ -173,16 +170,16 @@ def _points_of_text(path: Path) -> list[_Point]:
 
 
 def _cameras_of_binary(path: Path) -> dict[int, Camera]:
-    cameras = {}
+    cameras = []
     with BinaryFile(path) as file:
         for _ in range(file.count(smallest=48)):
             key, number, width, height = file.read("IiQQ")
             name = f"{path}: camera {key}"
             model = MODELS[number] if 0 <= number < len(MODELS) else f"number {number}"
             parameters = file.read(f"{_check_model(model, name)[1]}d")
-            cameras[key] = _camera(model, width, height, parameters, name)
+            cameras.append((key, _camera(model, width, height, parameters, name)))
         file.finish()
-    return cameras
+    return dict_of(cameras, f"{path}: camera")
 
 
 def _images_of_binary(path: Path) -> list[_Row]:

@@ -103,10 +103,8 @@ def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
         opacities = None if faint is None else _stacked(faint, np.float32)[:, 0].sigmoid()
         colors = (0.5 + CONSTANT * _stacked(harmonics, np.float32)).clamp(0, 1) if colors is None else colors
     tell_not_read([column for column in columns if column not in used], name)
-    has_normals = normals is not None and any(column.any() for column in normals)  # splats have zeros, for example
-    return CloudFile(
-        points, colors, _stacked(normals, np.float32) if normals and has_normals else None, None, opacities
-    )
+    has_any = normals is not None and any(column.any() for column in normals)  # splats have zeros, for example
+    return CloudFile(points, colors, _stacked(normals, np.float32) if normals and has_any else None, None, opacities)
 
 
 def tell_not_read(columns: Iterable[str], name: str) -> None:
@@ -114,9 +112,8 @@ def tell_not_read(columns: Iterable[str], name: str) -> None:
     left = [column for column in columns if not NOT_READ.fullmatch(plain(column))]
     if left:
         some = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
-        warnings.warn(
-            f"{name}: {some}: no position, normal or colour by these names; not read (docs/your_data.md)", stacklevel=5
-        )
+        told = f"{name}: {some}: no position, normal or colour by these names; not read (docs/your_data.md)"
+        warnings.warn(told, stacklevel=5)
 
 
 def plain(column: str) -> str:

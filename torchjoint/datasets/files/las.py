@@ -33,6 +33,8 @@ CHUNK = 1_000_000
 HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
 #: Keys of GeoTIFF: the projected coordinate system, the geographic one, and their value if the code is not EPSG's.
 PROJECTED, GEOGRAPHIC, USER_DEFINED = 3072, 2048, 32767
+#: Keys of the kind of coordinates, 2 for degrees, and of the unit of lengths; the codes of feet.
+MODEL, LINEAR, FEET = 1024, 3076, range(9002, 9007)
 #: Set in the point format's number if the points are compressed.
 COMPRESSED = 0x80
 
@@ -47,6 +49,7 @@ class LasPoints(NamedTuple):
 def read_las(path: Path) -> CloudFile:
     """Reads a whole file: positions, float64, and colours and normals, if any; normals are extra dimensions."""
     with open_las(path) as reader:
+        tell_unit(reader, path)
         kind = reader.header.point_format
         rgb = {"red", "green", "blue"} & set(kind.dimension_names)
         names = ["x", "y", "z", *rgb, *kind.extra_dimension_names]
@@ -58,15 +61,29 @@ def read_las(path: Path) -> CloudFile:
 def epsg_of(path: Path) -> int | None:
     """The EPSG code of a file's horizontal coordinate system, from its WKT or its GeoTIFF keys; None if it has none."""
     with open_las(path) as reader:
-        records = [*reader.header.vlrs, *(reader.evlrs or ())]
-    text = next((one.string for one in records if type(one).__name__ == "WktCoordinateSystemVlr"), "")
+        text, keys = _system(reader)
     horizontal = re.split(r",\s*VERT", text)[0]  # of a compound system
     # The code of a system stands at its end; codes before it are those of its parts.
     if found := re.search(r'(?:AUTHORITY|ID)\["EPSG",\s*"?(\d+)"?\]\s*\][\s\0]*$', horizontal):
         return int(found[1])
-    keys = {key.id: key.value_offset for one in records for key in getattr(one, "geo_keys", ())}
     code = keys.get(PROJECTED, keys.get(GEOGRAPHIC))
     return code if code not in (None, USER_DEFINED) else None
+
+
+def tell_unit(reader: Any, path: Path) -> None:
+    """Warns if the coordinate system of an open file does not count in metres."""
+    text, keys = _system(reader)
+    if re.match(r'\s*(COMP\w+\["[^"]*",\s*)?GEO\w+\[', text) or keys.get(MODEL) == 2:
+        warnings.warn(f"{path}: its coordinate system has degrees; they are taken as metres", stacklevel=4)
+    elif re.search(r'UNIT\["[^"]*(foot|feet)', text, re.I) or keys.get(LINEAR) in FEET:
+        warnings.warn(f"{path}: its coordinate system has feet; they are taken as metres", stacklevel=4)
+
+
+def _system(reader: Any) -> tuple[str, dict[int, int]]:
+    """The coordinate system of an open file: WKT, or else empty, and GeoTIFF keys."""
+    records = [*reader.header.vlrs, *(reader.evlrs or ())]
+    text = next((one.string for one in records if type(one).__name__ == "WktCoordinateSystemVlr"), "")
+    return text, {key.id: key.value_offset for one in records for key in getattr(one, "geo_keys", ())}
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import zlib
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
-from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, open_file, read_file
+from torchjoint.runtime.foreign_files import damage_is, dict_of, has_file, has_folder, open_file, read_file
 
 
 class Members:
@@ -23,7 +23,7 @@ class Members:
             self.names = {file.relative_to(path).as_posix() for file in files if has_file(file)}
             return
         with damage_is(f"{path}: not a whole archive", OSError), ZipFile(path) as archive:
-            self._entries = {entry.filename: entry for entry in archive.infolist()}
+            self._entries = dict_of([(entry.filename, entry) for entry in archive.infolist()], "file")
         self.names = set(self._entries)
 
     def read(self, name: str, most: int) -> bytes:

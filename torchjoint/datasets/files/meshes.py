@@ -41,6 +41,10 @@ TEXTURES = (*RASTERS, "TGA")
 _LOOKS = re.compile("KHR_(materials_.*|texture_.*|lights_punctual|xmp.*|mesh_quantization)|EXT_texture_.*")
 _OFF = re.compile(rb"(\s*#.*\n)*\s*(ST)?(CN?|NC?)?OFF(?!\s+BINARY)", re.IGNORECASE)
 _NORMALS = re.compile(rb'^\s*vn\s|"NORMAL"|^(ST)?C?NC?OFF', re.MULTILINE)
+#: A transform of a texture that does not move it.
+_STILL = {"offset": [0, 0], "scale": [1, 1], "rotation": 0, "texCoord": 0}
+#: The types of numbers of which trimesh reads these: 8 bits, 16 bits, floating.
+_KINDS = {"COLOR_0": (5121, 5123, 5126), "TEXCOORD_0": (5126,)}
 #: Chunks of a .glb.
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
@@ -57,6 +61,8 @@ def read_mesh_file(path: Path) -> CloudFile:
     data, suffix, parts = read_file(path, "a mesh"), path.suffix.lower(), Parts(path)
     if suffix in (".obj", ".off"):
         data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if suffix == ".obj":
+        data = re.sub(rb"^ +", b"", data, flags=re.MULTILINE)
     if suffix == ".off" and not _OFF.match(data):
         raise ValueError(f"{path}: expected text that begins with OFF, COFF, NOFF or STOFF, got {data[:20]!r}")
     if suffix == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little") and any(data[133::50]):
@@ -137,23 +143,24 @@ def _color_twice(part: Any) -> None:
     own = getattr(part.visual, "vertex_attributes", {}).get("color")
     if own is not None:
         of_material = _of_material(part.visual, len(part.vertices))[:, :3]
-        product = of_material * unit_colors(np.asarray(own)[:, :3]).numpy()
-        part.visual = type(part)(part.vertices, part.faces, vertex_colors=product.round().astype(np.uint8)).visual
+        part.visual = type(part)(part.vertices, part.faces, vertex_colors=own).visual
+        product = of_material * (part.visual.vertex_colors[:, :3] / 255)
+        part.visual.vertex_colors = product.round().astype(np.uint8)
 
 
 def _of_material(visual: Any, count: int) -> Array:
     """The colours of vertices with a texture, or of one colour, as bytes."""
     material = visual.material
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    if image is not None and visual.uv is not None:
-        return np.asarray(visual.to_color().vertex_colors)
-    if not hasattr(material, "baseColorFactor"):
+    has_texture, factor = image is not None and visual.uv is not None, getattr(material, "baseColorFactor", None)
+    if not has_texture and not hasattr(material, "baseColorFactor"):
         return np.tile(material.main_color, (count, 1))
-    if material.baseColorFactor is None:
-        return np.full((count, 4), 255, np.uint8)
-    linear = np.asarray(material.main_color) / 255  # glTF: factors are linear, textures and vertices are not
+    colors = np.asarray(visual.to_color().vertex_colors) if has_texture else np.full((count, 4), 255, np.uint8)
+    if factor is None:
+        return colors
+    linear = np.asarray(factor) / 255  # glTF: factors are linear, textures and vertices are not
     curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.tile((255 * curved).round().astype(np.uint8), (count, 1))
+    return (colors * curved).round().astype(np.uint8)
 
 
 def _rows_of_obj(data: bytes) -> CloudFile:
@@ -182,7 +189,7 @@ def _colors_of_off(data: bytes, count: int, name: str) -> Tensor | None:
     head = lines[0][0].upper()
     first = 1 if lines[0][1:] or head[-3:] != b"OFF" else 2  # the counts may stand behind the word OFF
     rows, faces = lines[first : first + count], lines[first + count :]
-    if len(faces) > (told := int(lines[first - 1][-2])):  # trimesh drops them; edges have no rows
+    if len(faces) != (told := int(lines[first - 1][-2])):  # trimesh drops them; edges have no rows
         raise ValueError(f"{name}: expected {told} rows of faces, as its head tells, got {len(faces)}")
     if any(len(face) > int(face[0]) + 1 for face in faces):
         warnings.warn(f"{name}: colours of faces are not read; those of vertices (COFF) are", stacklevel=4)
@@ -307,7 +314,7 @@ class Parts:
 
     def check_texture(self, data: bytes, name: str) -> None:
         """Checks a texture, and the sum of all of them; errors as of :func:`decode_image`."""
-        image = decode_image(data, name, formats=TEXTURES)
+        image = decode_image(data, name, kinds=TEXTURES)
         self._pixels += image.width * image.height
         bounds.check(self._pixels, bounds.TEXTURES, "pixels in all textures", name)
 
@@ -323,20 +330,36 @@ class Parts:
 
 
 def bound_textures() -> None:
-    """Makes trimesh decode the textures of .obj files with our decoder; those of .gltf are checked before."""
+    """Makes trimesh decode the textures of .obj files with our decoder; those of .gltf are checked before.
+
+    And makes it divide colours of 16 bits, of which it takes the low byte.
+    """
     from trimesh.exchange import obj
+    from trimesh.visual import color
     from trimesh.visual.texture import TextureVisuals
 
-    decoder = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", formats=TEXTURES))
+    original = vars(color).setdefault("to_rgba_of_trimesh", color.to_rgba)
+
+    def to_rgba(colors: Any, dtype: Any = np.uint8) -> Any:
+        return original(colors / 65535 if getattr(colors, "dtype", None) == np.uint16 else colors, dtype)
+
+    vars(color)["to_rgba"] = to_rgba
+
+    decoder = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", kinds=TEXTURES))
     vars(obj)["Image"] = decoder
     # A part with places in a texture, but without a material, has no colour; trimesh would make it grey.
     vars(obj)["TextureVisuals"] = lambda uv, material=None: None if material is None else TextureVisuals(uv, material)
 
 
 def check_obj(data: bytes, name: str) -> None:
-    """Checks how long trimesh takes for the materials of an .obj, and that its faces count vertices from 1."""
-    if re.search(rb"^ *f (?:.* )?0+(?:[/ ]|$)", data, re.MULTILINE):
+    """Checks how long trimesh takes for the materials of an .obj, and that it reads its faces as they are meant."""
+    if re.search(rb"^f (?:.* )?0+(?:[/ ]|$)", data, re.MULTILINE):
         raise ValueError("expected faces of vertices from 1 on, got 0")
+    if short := re.search(rb"^f(?: +[^\s\\]+){0,2} *$", data, re.MULTILINE):
+        raise ValueError(f"expected faces of at least three vertices, got {short[0].decode(errors='replace')!r}")
+    # trimesh counts back from the end of the file.
+    if (back := re.search(rb"^f .*-", data, re.MULTILINE)) and data.rfind(b"\nv ") > back.start():
+        raise ValueError("expected faces behind all vertices, where they count back (f -3 -2 -1)")
     steps = data.count(b"usemtl") * data.count(b"\nv")
     bounds.check(steps, bounds.MATERIAL_STEPS, "vertices times materials", name)
 
@@ -362,22 +385,38 @@ def check_gltf(data: bytes, parts: Parts, name: str) -> None:
 def _check_kinds(tree: dict[str, Any], name: str) -> None:
     """Checks that trimesh reads all points as they are meant: what it does not know it leaves out, or takes for 0."""
     unknown = {f"extension {one}" for one in tree.get("extensionsRequired", ()) if not _LOOKS.fullmatch(one)}
-    if any("skin" in node for node in tree.get("nodes", ())):
-        unknown.add("skins")
-    if any(any(one.get("weights", ())) for one in (*tree.get("meshes", ()), *tree.get("nodes", ()))):
-        unknown.add("weights of morph targets")
-    for primitive in (one for mesh in tree.get("meshes", ()) for one in mesh["primitives"]):
-        used = [tree["accessors"][one] for one in _accessors(primitive)]
-        unknown |= {"sparse accessors"} if any("sparse" in one for one in used) else set()
-        if primitive.get("mode") in (2, 3):
-            warnings.warn(f"{name}: lines are not read", stacklevel=5)
-        unknown |= {"fans of triangles"} if primitive.get("mode") == 6 else set()
-        is_scaled = tree["accessors"][primitive["attributes"]["POSITION"]].get("normalized")
-        unknown |= {"normalized positions"} if is_scaled else set()
+    primitives, nodes = [one for mesh in tree.get("meshes", ()) for one in mesh["primitives"]], tree.get("nodes", ())
+    used = [[tree["accessors"][at] for at in _accessors(one)] for one in primitives]
+    named = [{key: tree["accessors"][at] for key, at in one["attributes"].items()} for one in primitives]
+    kinds = [(key, one[key]["componentType"]) for one in named for key in _KINDS.keys() & one.keys()]
+    positions = [one["POSITION"] for one in named]
+    found = {
+        "skins": any("skin" in node for node in nodes),
+        "many instances of a node": any("EXT_mesh_gpu_instancing" in node.get("extensions", ()) for node in nodes),
+        "weights of morph targets": any(any(one.get("weights", ())) for one in (*tree.get("meshes", ()), *nodes)),
+        "textures that are moved": any(map(_is_moved, tree.get("materials", ()))),
+        "sparse accessors": any("sparse" in one for of_one in used for one in of_one),
+        "accessors without data": any("bufferView" not in one for of_one in used for one in of_one),
+        "attributes of several lengths": any(len({one["count"] for one in of_one.values()}) > 1 for of_one in named),
+        "odd integers as colours or places in textures": any(kind not in _KINDS[key] for key, kind in kinds),
+        "fans of triangles": any(one.get("mode") == 6 for one in primitives),
+        "normalized positions": any(one.get("normalized") for one in positions),
+        "positions that are no triples": any(one["type"] != "VEC3" for one in positions),
+    }
+    unknown |= {what for what, is_there in found.items() if is_there}
+    for _ in (one for one in primitives if one.get("mode") in (2, 3)):
+        warnings.warn(f"{name}: lines are not read", stacklevel=5)
     if unknown:
         raise ValueError(f"expected a plain mesh, got {', '.join(sorted(unknown))}; save it without")
     if len(tree.get("scenes", ())) > 1:
         warnings.warn(f"{name}: of {len(tree['scenes'])} scenes only one is read", stacklevel=5)
+
+
+def _is_moved(material: dict[str, Any]) -> bool:
+    """Whether a texture is not where TEXCOORD_0 has it."""
+    texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+    given = texture | texture.get("extensions", {}).get("KHR_texture_transform", {})
+    return any(given.get(key, still) != still for key, still in _STILL.items())
 
 
 def _check_numbers(tree: dict[str, Any], size: int) -> None:
@@ -386,10 +425,7 @@ def _check_numbers(tree: dict[str, Any], size: int) -> None:
     for count in counts:
         bounds.check(count, size, "values in an accessor")
     bounds.check(sum(counts), size, "values in all accessors")
-    sizes = [
-        sum(counts[one] for primitive in mesh["primitives"] for one in _accessors(primitive))
-        for mesh in tree.get("meshes", ())
-    ]
+    sizes = [sum(counts[at] for one in mesh["primitives"] for at in _accessors(one)) for mesh in tree.get("meshes", ())]
     placed = sum(sizes[node["mesh"]] for node in tree.get("nodes", ()) if "mesh" in node)
     most = bounds.POINTS_PER_BYTE * size + bounds.INSTANCED
     bounds.check(sum(sizes), most, "values in all meshes")

@@ -123,9 +123,7 @@ def _field_types(
     for place, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
         name = f"_{place}" if name == "_" else name
         if (kind, size) not in _TYPES or not 0 < count <= MAX_COUNT or name in fields:
-            raise ValueError(
-                f"{path}: field {name!r} of TYPE {kind}, SIZE {size}, COUNT {count} is not known, or twice"
-            )
+            raise ValueError(f"{path}: field {name!r} of TYPE {kind}, SIZE {size}, COUNT {count} is not known or twice")
         fields[name] = np.dtype((_TYPES[kind, size], (count,)) if count > 1 else _TYPES[kind, size])
     floats = {plain(name) for name, dtype in fields.items() if not dtype.shape and dtype.kind == "f"}
     if not floats.issuperset(POINTS[0]):
@@ -139,9 +137,7 @@ def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, npt.NDA
         values = np.loadtxt(io.BytesIO(body), comments=None, ndmin=2) if body.strip() else np.empty((0, columns))
     if values.shape != (header.num_points, columns):
         expected = f"{header.num_points} points of {columns} numbers"
-        raise ValueError(
-            f"{path}: truncated, or too long: expected {expected}, got {values.shape[0]} of {values.shape[1]}"
-        )
+        raise ValueError(f"{path}: truncated, or too long: expected {expected}, got {len(values)} of {values.shape[1]}")
     fields, column = {}, 0
     for name, dtype in header.fields.items():
         count = int(np.prod(dtype.shape))

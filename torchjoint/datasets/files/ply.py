@@ -302,9 +302,8 @@ def _rows_of_several_lengths(data: bytes, place: int, element: Element, order: s
             if count is not None:
                 width = int(count[1])
                 _check_rest(data, place, width, element)
-                length = int.from_bytes(
-                    data[place : place + width], "little" if order == "<" else "big", signed=count[0] == "i"
-                )
+                part = data[place : place + width]
+                length = int.from_bytes(part, "little" if order == "<" else "big", signed=count[0] == "i")
                 if length < 0:
                     raise ValueError(f"element {element.name}: a list of {length} numbers")
                 lengths[name][row] = length

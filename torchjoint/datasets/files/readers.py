@@ -36,9 +36,7 @@ def read_raster(path: Path, *, header_only: bool = False) -> Image.Image:
     return decode_image(read_file(path, "an image", bounds.IMAGE_BYTES), str(path), header_only=header_only)
 
 
-def decode_image(
-    data: bytes, name: str, *, header_only: bool = False, formats: tuple[str, ...] = RASTERS
-) -> Image.Image:
+def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tuple[str, ...] = RASTERS) -> Image.Image:
     """Decodes an image file's bytes (or only its header); errors begin with `name`.
 
     Raises:
@@ -47,17 +45,21 @@ def decode_image(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter
-            image = Image.open(io.BytesIO(data), formats=formats)
+            image = Image.open(io.BytesIO(data), formats=kinds)
             bounds.check_pixels(image.height, image.width)
+            if image.format == "PPM" and isinstance(to := image.tile[0].args, tuple) and to[1] not in (0, 255, 65535):
+                raise ValueError(f"expected 255 or 65535 as its largest number, got {to[1]}: Pillow scales others")
             bounds.check(len(image.info.get("exif", b"")), bounds.EXIF_BYTES, "bytes of EXIF")
             if not header_only:
                 if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
                     Image.open(io.BytesIO(data), formats=("PNG",)).verify()
+                if image.format == "JPEG" and data.endswith(bytes(64)) and not data.rstrip(b"\0").endswith(b"\xff\xd9"):
+                    raise ValueError("its end is lost, there are zeros in its place")
                 image.load()
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
             Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
         # Pillow's own message names the buffer in memory.
-        reason = f"expected one of {', '.join(formats)}" if isinstance(error, UnidentifiedImageError) else error
+        reason = f"expected one of {', '.join(kinds)}" if isinstance(error, UnidentifiedImageError) else error
         raise ValueError(f"{name}: not a whole image: {reason}") from error
     return image
 
@@ -209,6 +211,7 @@ def rgb_of(image: Image.Image, name: str) -> Tensor:
 
 def labels_of(image: Image.Image, name: str) -> Tensor:
     """Converts an 8- or 16-bit label image to [H, W] int64; errors begin with `name`."""
-    if image.mode not in ("L", "P", "I;16", "I;16B", "I"):
-        raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode}")
+    if image.mode not in ("L", "P", "I;16", "I;16B", "I") or image.format == "JPEG":  # JPEG makes other numbers
+        got = f"mode {image.mode} of {image.format}"
+        raise ValueError(f"{name}: expected a grey or palette image of labels, got {got}")
     return torch.from_numpy(np.array(image).astype(np.int64))

@@ -11,6 +11,7 @@ import re
 import sqlite3
 import struct
 import sys
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -172,11 +173,19 @@ def check_databases() -> None:
         return
 
     def opened(reader: Any) -> None:
+        for one in (Path(f"{reader.path}-{end}") for end in ("wal", "journal")):
+            if has_file(one) and read_file(one, "a journal")[:1] not in (b"", b"\0"):
+                raise ValueError(f"expected a database that was closed, got {one.name} beside it: open it with sqlite3")
+        size = reader.path.stat().st_size
         reader.path = Path(quote(str(reader.path)))  # a part of a URI, where ..%2f would lead out of the folder
         with closing(sqlite3.connect(f"file:{reader.path}?immutable=1", uri=True)) as database:
             for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
                 if kind not in ("table", "index") or re.search(r"\b(as|virtual)\b", text or "", re.IGNORECASE):
                     raise ValueError(f"expected plain tables, got a {kind} that is computed, maybe without end")
+            # A page may be in a tree any number of times. To look for it takes seconds in a gigabyte.
+            told = database.execute("PRAGMA quick_check(1)").fetchone() if size < bounds.FREE else ("ok",)
+            if told != ("ok",):
+                raise ValueError(f"expected a whole database, got {' '.join(told[0].split())}")
         open_database(reader)
 
     Sqlite3Reader.open = opened
@@ -193,6 +202,9 @@ def _check_files(path: Path) -> int:
     text = read_file(path / "metadata.yaml", "the description of a ROS recording", bounds.YAML_BYTES)
     files = yaml.load(text, yaml.BaseLoader)["rosbag2_bagfile_information"]["relative_file_paths"]
     no_twice((Path(file).name for file in files), "metadata.yaml: file")  # each is opened as often as it is listed
+    listed = {Path(file).name.removesuffix(".zstd") for file in files}
+    for name in sorted({one.name for one in path.iterdir() if one.suffix in SUFFIXES} - listed):
+        warnings.warn(f"{path}: {name}: not in metadata.yaml, so it is not read (`ros2 bag reindex`)", stacklevel=2)
     return sum(file.stat().st_size for file in path.iterdir() if has_file(file))
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain, repaired
 from torchjoint.datasets.files.readers import decode_image, rgb_of
+from torchjoint.runtime.foreign_files import dict_of
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 #: By encoding of a colour image: numbers per pixel, and the indices of red, green and blue among them.
@@ -123,7 +124,7 @@ def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
 
     And how many points are left out because they are (0, 0, 0), as drivers write a beam without return.
     """
-    fields = {field.name: field for field in message.fields}
+    fields = dict_of([(field.name, field) for field in message.fields], f"{name}: field")
     count, step = int(message.width) * int(message.height), int(message.point_step)
     row_step = int(message.row_step) or step * int(message.width)
     size = row_step * int(message.height)

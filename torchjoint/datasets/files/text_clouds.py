@@ -21,8 +21,9 @@ from torchjoint.datasets.files.columns import NOT_READ, POINTS, CloudFile, cloud
 from torchjoint.runtime.foreign_files import damage_is, no_twice, read_file
 
 SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
-#: A unit behind the name of a column: x [m], x (m).
+#: A unit behind the name of a column: x [m], x (m); one of places that is no metre.
 _UNIT = re.compile(r"\[[^]]*\]|\([^)]*\)")
+_NO_METRE = re.compile(rb"\b[xyz] ?[\[(] ?(([cmk]|milli|centi)m\w*|f(ee|oo)?t|us-ft|in|inch\w*|deg\w*) ?[\])]", re.I)
 #: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.
 MOST_COLUMNS = 16
 #: Letters of columns: positions, colours, normals.
@@ -40,8 +41,11 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         path: of the file.
         letters: of the columns, as of :func:`torchjoint.datasets.files.clouds.read_cloud_file`, or None.
     """
-    data = _as_utf8(read_file(path, "a point cloud as text"))
+    with damage_is(str(path)):
+        data = _as_utf8(read_file(path, "a point cloud as text"))
     start, number, names, count = _preamble(data, f"{path}: not a whole {path.suffix} cloud")
+    if unit := _NO_METRE.search(data, 0, start):
+        warnings.warn(f"{path}: {unit[0].decode()}: taken as metres", stacklevel=4)
     rows = _numbers(data[start:], number, path)
     if count is not None and count != len(rows):
         raise ValueError(f"{path}: line {number - 1}: {count} points are counted, got {len(rows)}: is it truncated?")
@@ -59,9 +63,10 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
 
 def _as_utf8(data: bytes) -> bytes:
     """Text without the mark of its encoding and without quotes, with line ends of Unix."""
+    if b";" not in data and re.search(rb'"[-+]?\d[-+.\de]*,[^"\n]*"', data):
+        raise ValueError("expected decimal points, got commas inside of quotes; replace them")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        with damage_is("expected text"):
-            data = data.decode("utf-16").encode()
+        data = data.decode("utf-16").encode()
     return data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b'"', b"")
 
 

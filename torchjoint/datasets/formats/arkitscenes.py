@@ -30,9 +30,7 @@ from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 
-WHAT = (
-    "lowres_wide.traj with lowres_wide/, lowres_wide_intrinsics/ and lowres_depth/, here or in ID_frames/ (ARKitScenes)"
-)
+WHAT = "lowres_wide.traj with lowres_wide/, lowres_wide_intrinsics/, lowres_depth/, here or in ID_frames/ (ARKitScenes)"
 TRAJECTORY, IMAGES, DEPTHS, CAMERAS = "lowres_wide.traj", "lowres_wide", "lowres_depth", "lowres_wide_intrinsics"
 #: Poses are known ten times a second.
 TOLERANCE = 0.06
@@ -115,9 +113,7 @@ def _camera(folder: Path, stem: str) -> Camera:
 
 
 def _instances(file: Path, points: Tensor) -> Tensor:
-    boxes = [
-        one.record("segments").record("obbAligned") for one in read_record(file, "boxes of objects").records("data")
-    ]
+    boxes = [one.record("segments").record("obbAligned") for one in read_record(file, "boxes").records("data")]
     if not boxes:
         return torch.full((len(points),), -1)
     centers, sizes = (torch.stack([box.numbers(key, 3) for box in boxes]) for key in ("centroid", "axesLengths"))

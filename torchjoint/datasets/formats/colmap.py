@@ -79,10 +79,8 @@ def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
         present(file, f"an image of the model in {model}")
     tell_unlisted(str(model), files)
     names = frame_names([image.name for image in images])
-    shots = [
-        Shot(file, image.camera, image.world_to_camera, name)
-        for file, image, name in zip(files, images, names, strict=True)
-    ]
+    parts = zip(files, images, names, strict=True)
+    shots = [Shot(file, image.camera, image.world_to_camera, name) for file, image, name in parts]
     return read_shots(shots)
 
 

@@ -25,7 +25,7 @@ from torchjoint.datasets.files.clouds import read_scan
 from torchjoint.datasets.files.readers import read_image
 from torchjoint.datasets.files.text import parse_numbers, read_lines
 from torchjoint.datasets.recording import Options
-from torchjoint.runtime.foreign_files import has_file, has_folder, present
+from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, present
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
@@ -70,7 +70,7 @@ def _is_root(path: Path) -> bool:
 
 def _read_calibration(path: Path) -> dict[str, Tensor]:
     """P2, R0_rect and Tr_velo_to_cam, each as [4, 4]; R0_rect and Tr_velo_to_cam are rigid."""
-    columns, matrices = {"P2": 4, "R0_rect": 3, "Tr_velo_to_cam": 4}, {}
+    columns, found = {"P2": 4, "R0_rect": 3, "Tr_velo_to_cam": 4}, []
     for name, line in read_lines(path, "lines P2, R0_rect and Tr_velo_to_cam"):
         key, _, numbers = line.partition(":")
         if key in columns:
@@ -79,7 +79,8 @@ def _read_calibration(path: Path) -> dict[str, Tensor]:
                 raise ValueError(f"{name}: expected 3x{columns[key]} numbers, got {len(values)}")
             matrix = torch.eye(4, dtype=torch.float64)
             matrix[:3, : columns[key]] = torch.tensor(values, dtype=torch.float64).view(3, -1)
-            matrices[key] = matrix if key == "P2" else _nearest_rigid(as_pose(matrix, f"{path}: {key}"))
+            found.append((key, matrix if key == "P2" else _nearest_rigid(as_pose(matrix, f"{path}: {key}"))))
+    matrices = dict_of(found, f"{path}: line")
     if missing := [key for key in columns if key not in matrices]:
         raise ValueError(f"{path}: expected lines P2, R0_rect and Tr_velo_to_cam, {', '.join(missing)} missing")
     as_intrinsics(matrices["P2"][:3, :3], f"{path}: P2, first three columns")
@@ -94,9 +95,7 @@ def _nearest_rigid(pose: Tensor) -> Tensor:
 
 
 def _instances(path: Path, points: Tensor, rectified_from_world: Tensor) -> Tensor:
-    boxes = [
-        _parse_box(line, name) for name, line in read_lines(path, "boxes") if line and line.split()[0] != "DontCare"
-    ]
+    boxes = [_parse_box(line, name) for name, line in read_lines(path, "boxes") if line and line[:8] != "DontCare"]
     height, width, length, x, y, z, yaw = torch.tensor(boxes, dtype=torch.float64).reshape(-1, 7).unbind(1)
     cos, sin, zero, one = yaw.cos(), yaw.sin(), torch.zeros_like(yaw), torch.ones_like(yaw)
     rotations = torch.stack([cos, zero, sin, zero, one, zero, -sin, zero, cos], dim=1).view(-1, 3, 3)

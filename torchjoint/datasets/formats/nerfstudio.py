@@ -138,9 +138,8 @@ def read_camera(frame: Record, color: Path) -> Camera:
     """Returns the camera of a frame, whose size is that of the image `color` if the frame does not give it."""
     if "distortion_params" in frame:
         given = frame.numbers("distortion_params", 6).tolist()
-        frame = Record(
-            {**frame.values, **dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=True))}, frame.name
-        )
+        named = zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=True)
+        frame = Record({**frame.values, **dict(named)}, frame.name)
     model = frame.text("camera_model", "OPENCV")
     if model not in (*_PERSPECTIVE, _FISHEYE):
         raise ValueError(

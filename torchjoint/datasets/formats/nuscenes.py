@@ -67,9 +67,7 @@ def _instances(records: list[Record], points: Tensor) -> Tensor:
     centers, sizes, yaw = boxes[:, :3], boxes[:, 3:6], boxes[:, 6]
     for record, size in zip(records, sizes, strict=True):
         if not (size > 0).all():
-            raise ValueError(
-                f"{record.name}: bbox_3d: expected a length, width and height above 0, got {size.tolist()}"
-            )
+            raise ValueError(f"{record.name}: bbox_3d: expected a length, width and height > 0, got {size.tolist()}")
     cos, sin, zero, one = yaw.cos(), yaw.sin(), torch.zeros_like(yaw), torch.ones_like(yaw)
     rotations = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], dim=1).view(-1, 3, 3)
     return instances_in_boxes(points, centers, sizes, rotations)

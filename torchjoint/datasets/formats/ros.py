@@ -166,9 +166,8 @@ def _frame(message: Any) -> str:
 
 def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[Frame]:
     colors, total = bag.stamps(topics.color), bag.counts[topics.color]
-    tell_left_out(
-        f"{bag.path}: {topics.color}", total - len(colors), total, "have the time of another in their header,"
-    )
+    why = "have the time of another in their header,"
+    tell_left_out(f"{bag.path}: {topics.color}", total - len(colors), total, why)
     depths = [] if topics.depth is None else bag.stamps(topics.depth)
     depth_of = dict(associate([one.time for one in colors], [one.time for one in depths], limit))
     at = poses.world_from(_frame(bag.first(topics.color)), [one.time for one in colors])
@@ -189,9 +188,7 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
     return LazySequence(len(shots), _reader(bag, topics, shots, lens, names), names)
 
 
-def _reader(
-    bag: Bag, topics: _Topics, shots: Sequence[_Shot], lens: Camera, names: Sequence[str]
-) -> Callable[[int], Frame]:
+def _reader(bag: Bag, topics: _Topics, shots: list[_Shot], lens: Camera, names: list[str]) -> Callable[[int], Frame]:
     def read(index: int) -> Frame:
         shot, name = shots[index], f"{bag.path}: {topics.color} at {names[index]}"
         image = color_image(bag.read(topics.color, shot.color), name)

@@ -76,9 +76,7 @@ def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
         return read_shots(())
     cameras = find_cameras(folder, folder / f"{scan}.txt")
     if cameras is None:
-        raise FileNotFoundError(
-            f"{folder / 'intrinsic' / 'intrinsic_color.txt'}: missing, and {scan}.txt has no calibration"
-        )
+        raise FileNotFoundError(f"{folder}/intrinsic/intrinsic_color.txt: missing, and {scan}.txt has no calibration")
     return read_frames(folder, cameras)
 
 

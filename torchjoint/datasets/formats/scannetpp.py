@@ -103,18 +103,15 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     if not kept:
         raise FileNotFoundError(f"{images}: expected images that have poses, such as {files[0][0].name}, got none")
     tell_unlisted(str(images), [file for file, _ in kept])
-    undistorted = None
+    one_camera = None
     if "undistorted" in images.name:
-        undistorted = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
+        one_camera = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
 
-    return read_shots(
-        [
-            Shot(
-                file, undistorted or shot.camera, shot.world_to_camera, file.stem, folder / "depth" / f"{file.stem}.png"
-            )
-            for file, shot in kept
-        ]
-    )
+    def moved(file: Path, shot: ColmapImage) -> Shot:
+        depth = folder / "depth" / f"{file.stem}.png"
+        return Shot(file, one_camera or shot.camera, shot.world_to_camera, file.stem, depth)
+
+    return read_shots([moved(file, shot) for file, shot in kept])
 
 
 def _read_shots(file: Path) -> list[ColmapImage]:

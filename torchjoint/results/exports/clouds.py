@@ -39,9 +39,7 @@ def export_las(path: Path, result: Result) -> None:
     # The power of ten with which the longest axis fits into the positive numbers of 32 bits.
     scale = max(1e-4, 10.0 ** np.ceil(np.log10((np.ptp(points, axis=0).max() + 1) / (2**31 - 1))))
     if scale > 1e-4:
-        warnings.warn(
-            f"coordinates are rounded to {scale:g} m: LAS has no finer ones for so large a cloud", stacklevel=2
-        )
+        warnings.warn(f"coordinates are rounded to {scale:g} m: LAS has no finer ones for such clouds", stacklevel=2)
     header.offsets, header.scales = np.floor(points.min(0)), np.full(3, scale)
     header.add_extra_dim(laspy.ExtraBytesParams("label", np.int32))
     sure = result.point_confidence
@@ -74,9 +72,7 @@ def export_npz(path: Path, result: Result) -> None:
         arrays |= {"confidence": result.confidence.numpy(), "point_confidence": result.point_confidence.numpy()}
     names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
     arrays["names"] = np.array(names, dtype=str)
-    arrays |= {
-        f"image:{name}": image.numpy().astype(np.int32)
-        for name, image in zip(frame_files(names), result.images, strict=True)
-    }
+    named = zip(frame_files(names), result.images, strict=True)
+    arrays |= {f"image:{name}": image.numpy().astype(np.int32) for name, image in named}
     with atomic_write(path) as partial, partial.open("wb") as stream:  # NumPy would add .npz to a path
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
