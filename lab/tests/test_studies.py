@@ -21,8 +21,8 @@ import torchjoint as tj
 
 STUDIES = Path(__file__).parents[1] / "studies"
 HELPERS = ("domain_tables", "report", "streets")
-#: Draws pictures of the documents; has no arguments, so each start is a run.
-WITHOUT_ARGUMENTS = ("pictures",)
+#: Draw pictures of the documents; have no arguments, so each start is a run.
+WITHOUT_ARGUMENTS = ("pictures", "viewer")
 
 
 @pytest.fixture
