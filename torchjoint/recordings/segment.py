@@ -208,7 +208,8 @@ def run(
             checkpoint.save(segmenter.state)
         if watch is not None:
             watch(segmenter, scene)
-    checkpoint.save(segmenter.state, now=True)
+    if scene.frames:
+        checkpoint.save(segmenter.state, now=True)
     return segmenter.compute(progress=progress)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -62,14 +63,11 @@ class Evidence:
     @classmethod
     def zeros(cls, num_edges: int, num_points: int, observations: Observations | None = None) -> Evidence:
         """As :meth:`empty`, for E = `num_edges` and N = `num_points`."""
-        return cls(
-            torch.zeros(num_edges, dtype=torch.int64),
-            torch.zeros(num_edges, dtype=torch.float64),
-            torch.zeros(num_points, dtype=torch.int64),
-            torch.zeros(num_edges, dtype=torch.int32),
-            torch.zeros(num_edges, dtype=torch.int32),
-            Observations() if observations is None else observations,
-        )
+        kinds = np.int64, np.float64, np.int32, np.int32
+        # not torch's: without frames nothing is written into these, and they take no memory
+        views, overlaps, contours, contour_views = (torch.from_numpy(np.zeros(num_edges, kind)) for kind in kinds)
+        kept = Observations() if observations is None else observations
+        return cls(views, overlaps, torch.zeros(num_points, dtype=torch.int64), contours, contour_views, kept)
 
     def check_types(self) -> None:
         """Checks evidence that was read from a file."""

@@ -81,7 +81,7 @@ def test_groups_are_the_boundaries_of_all_their_edges():
     values = {name: torch.rand(200, generator=generator) for name in (*MEASURES, *AVERAGED)}
     values["crease"][::3] = torch.nan
     pair, of_pair = torch.arange(200) % 12, torch.arange(12) // 4
-    apart, expected = Boundaries.of(pair, 12, values), Boundaries.of(of_pair[pair], 3, values)
+    apart, expected = Boundaries.of(pair, 12, dict(values)), Boundaries.of(of_pair[pair], 3, values)
     for found, wanted in zip(apart.grouped(of_pair, 3), expected, strict=True):
         torch.testing.assert_close(found, wanted)
     parts = [apart.selected(torch.arange(start, start + 6)) for start in (0, 6)]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -44,22 +45,23 @@ class Boundaries(NamedTuple):
     total: Tensor  #: [Q, M, BINS] float32, sum of the values in each bin
 
     @classmethod
-    def of(cls, pair: Tensor, num_pairs: int, values: Mapping[str, Tensor]) -> Boundaries:
+    def of(cls, pair: Tensor, num_pairs: int, values: dict[str, Tensor]) -> Boundaries:
         """Sums over edges.
 
         Args:
             pair: [C] int64, boundary of each edge, 0 ... Q - 1.
             num_pairs: Q.
-            values: those of MEASURES and AVERAGED that are known, [C] each, NaN = missing.
+            values: those of MEASURES and AVERAGED that are known, [C] each, NaN = missing; will be empty.
         """
         averaged = torch.zeros(num_pairs, len(AVERAGED), dtype=torch.float64)
-        binned, total = torch.zeros(2, num_pairs, len(MEASURES), BINS)
+        # not torch's: what is not written, of unknown measures, takes no memory
+        binned, total = torch.from_numpy(np.zeros((2, num_pairs, len(MEASURES), BINS), np.float32))
         for number, name in enumerate(AVERAGED):
             if name in values:
-                averaged[:, number] = sum_by(pair, values[name].double(), num_pairs)
+                averaged[:, number] = sum_by(pair, values.pop(name).double(), num_pairs)
         for number, name in enumerate(MEASURES):
             if name in values:
-                value, known = values[name].nan_to_num(0, 0, 0), values[name].isfinite()
+                known, value = values[name].isfinite(), values.pop(name).nan_to_num(0, 0, 0)
                 key = pair * BINS + _bins(value, number)
                 for sums, of_edge in ((binned, known), (total, value)):
                     sums[:, number] = torch.bincount(key, of_edge, num_pairs * BINS).view(num_pairs, BINS)
@@ -80,9 +82,10 @@ class Boundaries(NamedTuple):
 
     def means(self) -> dict[str, Tensor]:
         """Mean of each measure over the edges with a value, [Q] float64, NaN without one; of AVERAGED over all."""
-        measured = self.total.sum(2, dtype=torch.float64) / self.binned.sum(2)
-        columns = torch.cat([measured, self.averaged / self.num_edges[:, None]], 1)
-        return dict(zip((*MEASURES, *AVERAGED), columns.unbind(1), strict=True))
+        pairs = zip(self.total.unbind(1), self.binned.unbind(1), strict=True)  # one by one: less memory
+        measured = [total.sum(1, dtype=torch.float64) / binned.sum(1) for total, binned in pairs]
+        averaged = (self.averaged / self.num_edges[:, None]).unbind(1)
+        return dict(zip((*MEASURES, *AVERAGED), (*measured, *averaged), strict=True))
 
     def quantiles(self, shares: Sequence[float]) -> dict[str, Tensor]:
         """Quantiles of each measure, [Q, len(shares)] float32, NaN without a value.
@@ -90,12 +93,13 @@ class Boundaries(NamedTuple):
         The quantile q of n values is the one at place (n - 1) q in ascending order, rounded; instead of it, the mean of
         all values in its bin is given.
         """
-        up_to = self.binned.cumsum(2).flatten(0, 1)  # [Q M, BINS]
-        place = ((up_to[:, -1:] - 1) * torch.tensor(shares)).round()
-        bin_ = torch.searchsorted(up_to, place, right=True).clamp_(max=BINS - 1)
-        total, count = (sums.flatten(0, 1).gather(1, bin_) for sums in (self.total, self.binned))
-        found = (total / count).view(len(self.num_edges), len(MEASURES), len(shares))
-        return dict(zip(MEASURES, found.unbind(1), strict=True))
+        found = {}
+        for name, binned, total in zip(MEASURES, self.binned.unbind(1), self.total.unbind(1), strict=True):
+            up_to = binned.cumsum(1)
+            place = ((up_to[:, -1:] - 1) * torch.tensor(shares)).round()
+            bin_ = torch.searchsorted(up_to, place, right=True).clamp_(max=BINS - 1)
+            found[name] = total.gather(1, bin_) / binned.gather(1, bin_)
+        return found
 
 
 def _bins(values: Tensor, measure: int) -> Tensor:

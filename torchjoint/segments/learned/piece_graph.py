@@ -133,20 +133,26 @@ class PieceGraph:
             group: [P] int64, group of each piece, 0 ... G - 1, numbered by first appearance.
         """
         num_groups = int(group.max()) + 1
-        first, second = group[self.pairs]
-        across = torch.nonzero(first != second).squeeze(1)
-        first, second = first[across], second[across]
-        key = torch.minimum(first, second) * num_groups + torch.maximum(first, second)
-        key, of_pair = torch.unique(key, return_inverse=True)
+        across, pairs, of_pair = pairs_of(group, self.pairs)
         return PieceGraph(
             torch.arange(num_groups),
-            torch.stack([key // num_groups, key % num_groups]),
-            self.boundaries.selected(across).grouped(of_pair, len(key)),
+            pairs,
+            self.boundaries.selected(across).grouped(of_pair, pairs.shape[1]),
             pooled(self.statistics, group, num_groups),
             self.typical_color_step,
             None if self.images is None else self.images.grouped(group),
             occlusions=None if self.occlusions is None else self.occlusions.grouped(group),
         )
+
+
+def pairs_of(piece: Tensor, edge_index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The C edges across pieces [N]; the Q pairs of pieces [2, Q], ascending; the pair [C] of each of these edges."""
+    first, second = piece[edge_index]
+    across = torch.nonzero(first != second).squeeze(1)
+    first, second, num_pieces = first[across], second[across], int(piece.max()) + 1
+    key = torch.minimum(first, second) * num_pieces + torch.maximum(first, second)
+    key, pair = torch.unique(key, return_inverse=True)
+    return across, torch.stack([key // num_pieces, key % num_pieces]), pair
 
 
 def disjoint_union(graphs: Sequence[PieceGraph]) -> PieceGraph:

@@ -13,16 +13,17 @@ import torch
 from torch import Tensor
 
 from torchjoint.cloud._vectors import dot, length, rows_of
-from torchjoint.cloud.edge_weights import map_edges
+from torchjoint.cloud.edge_weights import EDGES, map_edges
 from torchjoint.cloud.graph import PointGraph, orient_normals
 from torchjoint.cloud.normals import angle_between, is_convex
 from torchjoint.cloud.scales import Scales
 from torchjoint.images.segmenter import brightened
+from torchjoint.runtime.memory import give_back
 from torchjoint.segments.learned.boundaries import Boundaries
 from torchjoint.segments.learned.images import image_colors, segments_of_pieces, without_dropouts
 from torchjoint.segments.learned.masks import cut_by_masks
 from torchjoint.segments.learned.occluded_surfaces import find_occlusions
-from torchjoint.segments.learned.piece_graph import PieceGraph, masks_of_pieces
+from torchjoint.segments.learned.piece_graph import PieceGraph, masks_of_pieces, pairs_of
 from torchjoint.segments.learned.region_statistics import InnerEdges, Surface, statistics_of_points
 from torchjoint.segments.planes import (
     SMOOTH_REGIONS,
@@ -107,13 +108,9 @@ def build_piece_graph(
     cost = _edge_costs(crease_costs(graph.edge_index, planes, oriented, CONVEX_FACTOR), r, color_step, median)
     piece = merge(torch.arange(graph.num_points), graph.edge_index, cost, THRESHOLD, MIN_SIZE)
     piece = cut_by_masks(piece, graph.edge_index, seen)
-    first, second = piece[graph.edge_index]
-    across = torch.nonzero(first != second).squeeze(1)
-    num_pieces = int(piece.max()) + 1
-    low, high = torch.minimum(first, second)[across], torch.maximum(first, second)[across]
-    key, pair = torch.unique(low * num_pieces + high, return_inverse=True)
-    ends = graph.edge_index[:, across]
-    measures = _geometry(graph, ends, normals, oriented, planes, scales)
+    across, pairs, pair = pairs_of(piece, graph.edge_index)
+    measures = _geometry(graph, graph.edge_index[:, across], normals, oriented, planes, scales)
+    give_back()  # of a large cloud, many blocks are free now
     if color_step is not None:
         measures["color_step"] = color_step[across]
     if r is not None and observations:
@@ -121,14 +118,14 @@ def build_piece_graph(
         measures["contour"] = torch.where(views > 0, total.float() / (255 * views.clamp(min=1)), torch.nan)
         measures["disagreement"] = torch.where(evidence.views[across] > 0, r[across], torch.nan)
         measures |= {"seen": views > 0, "views": views}
+    boundaries = Boundaries.of(pair, pairs.shape[1], measures)
     surface = Surface(graph.points, planes.normal, oriented, scales.noise, scales.spacing, lab)
-    statistics = statistics_of_points(
-        piece, surface, _inner_edges(piece, graph.edge_index, normals, oriented, color_step)
-    )
+    inner = _inner_edges(piece, graph.edge_index, normals, oriented, color_step)
+    statistics = statistics_of_points(piece, surface, inner)
     return PieceGraph(
         piece,
-        torch.stack([key // num_pieces, key % num_pieces]),
-        Boundaries.of(pair, len(key), measures),
+        pairs,
+        boundaries,
         statistics,
         None if median is None else max(median, SMALLEST_TYPICAL),
         segments_of_pieces(piece, observations) if observations else None,
@@ -161,30 +158,31 @@ def _geometry(
     graph: PointGraph, edge_index: Tensor, normals: Tensor, oriented: Tensor, planes: Planes, scales: Scales
 ) -> dict[str, Tensor]:
     """The values of edges [2, C] that geometry gives, [C] each."""
-    i, j = edge_index
-    both = oriented[i] & oriented[j]
-    one, other = rows_of(planes.normal, i), rows_of(planes.normal, j)
-    between = rows_of(planes.mean, j) - rows_of(planes.mean, i)
-    angle = angle_between(one, other, both) * RIGHT_ANGLES
-    crease = torch.where(both & is_convex(between, other - one), -angle, angle)
-    bend = angle_between(rows_of(normals, i), rows_of(normals, j), both) * RIGHT_ANGLES
     assert graph.wide_normals is not None  # it has scales
     wide = torch.where(dot(graph.wide_normals, normals)[:, None] < 0, -graph.wide_normals, graph.wide_normals)
-    wide_bend = angle_between(rows_of(wide, i), rows_of(wide, j), both) * RIGHT_ANGLES
-    off_one, off_other = dot(between, one).abs(), dot(between, other).abs()
-    noise = torch.maximum(scales.noise[i], scales.noise[j])
-    spacing = torch.maximum(scales.spacing[i], scales.spacing[j])
-    gap = length(rows_of(graph.points, j) - rows_of(graph.points, i)) / spacing
-    return {
-        "crease": crease,
-        "hollow": crease.clamp(min=0),
-        "bend": bend,
-        "wide_bend": wide_bend,
-        "offset": torch.minimum(off_one, off_other) / noise,
-        "larger_offset": torch.maximum(off_one, off_other) / noise,
-        "gap": gap,
-        "unoriented": ~both,
-    }
+
+    def measured(ends: Tensor) -> dict[str, Tensor]:
+        i, j = ends
+        both = oriented[i] & oriented[j]
+        one, other = rows_of(planes.normal, i), rows_of(planes.normal, j)
+        between = rows_of(planes.mean, j) - rows_of(planes.mean, i)
+        angle = angle_between(one, other, both) * RIGHT_ANGLES
+        crease = torch.where(both & is_convex(between, other - one), -angle, angle)
+        off_one, off_other = dot(between, one).abs(), dot(between, other).abs()
+        noise, spacing = (torch.maximum(of[i], of[j]) for of in (scales.noise, scales.spacing))
+        return {
+            "crease": crease,
+            "hollow": crease.clamp(min=0),
+            "bend": angle_between(rows_of(normals, i), rows_of(normals, j), both) * RIGHT_ANGLES,
+            "wide_bend": angle_between(rows_of(wide, i), rows_of(wide, j), both) * RIGHT_ANGLES,
+            "offset": torch.minimum(off_one, off_other) / noise,
+            "larger_offset": torch.maximum(off_one, off_other) / noise,
+            "gap": length(rows_of(graph.points, j) - rows_of(graph.points, i)) / spacing,
+            "unoriented": ~both,
+        }
+
+    blocks = [measured(ends) for ends in edge_index.split(EDGES, 1)]  # less memory than all edges at once
+    return {name: torch.cat([block.pop(name) for block in blocks]) for name in [*blocks[0]]}
 
 
 def _to_lab(colors: Tensor) -> Tensor:
