@@ -29,7 +29,7 @@ from torchjoint.segments.learned.agglomeration import Merges, build_hierarchy, l
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.masks import MaskLinkage
-from torchjoint.segments.learned.piece_graph import PieceGraph, counted, disjoint_union
+from torchjoint.segments.learned.piece_graph import MANY_POINTS, PieceGraph, counted, disjoint_union
 from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES, merges_by_contact
 
@@ -65,8 +65,6 @@ def drawn_anew(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
 NOISE = 0.7
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
-#: Clouds of more points are judged draw by draw: less memory, more time.
-MANY_POINTS = 400_000
 #: The operator wants a prior; this much of it changes nothing.
 NO_PRIOR = 1e-9
 

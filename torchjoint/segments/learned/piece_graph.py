@@ -21,6 +21,9 @@ from torchjoint.segments.learned.region_statistics import RegionStatistics, pool
 from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
+#: Clouds of more points take more time, and less memory: judged draw by draw, for example.
+MANY_POINTS = 400_000
+
 
 class MaskCounts(NamedTuple):
     """How many points of each piece lie in each mask. All M masks of all frames are numbered together."""

@@ -23,7 +23,7 @@ from torchjoint.segments.learned.boundaries import Boundaries
 from torchjoint.segments.learned.images import image_colors, segments_of_pieces, without_dropouts
 from torchjoint.segments.learned.masks import cut_by_masks
 from torchjoint.segments.learned.occluded_surfaces import find_occlusions
-from torchjoint.segments.learned.piece_graph import PieceGraph, masks_of_pieces, pairs_of
+from torchjoint.segments.learned.piece_graph import MANY_POINTS, PieceGraph, masks_of_pieces, pairs_of
 from torchjoint.segments.learned.region_statistics import InnerEdges, Surface, statistics_of_points
 from torchjoint.segments.planes import (
     SMOOTH_REGIONS,
@@ -110,7 +110,8 @@ def build_piece_graph(
     piece = cut_by_masks(piece, graph.edge_index, seen)
     across, pairs, pair = pairs_of(piece, graph.edge_index)
     measures = _geometry(graph, graph.edge_index[:, across], normals, oriented, planes, scales)
-    give_back()  # of a large cloud, many blocks are free now
+    if graph.num_points > MANY_POINTS:
+        give_back()  # many blocks are free now
     if color_step is not None:
         measures["color_step"] = color_step[across]
     if r is not None and observations:
