@@ -375,3 +375,19 @@ def test_scans_of_a_recording_of_which_one_has_no_colours(tmp_path):
     last.fields = last.fields[:3]
     with pytest.warns(UserWarning, match="1 of 2 scans have no colours, so those of the others; they are left out"):
         assert tj.load_scene(ros.record(tmp_path / "bag", messages), voxel_size=1e-4).colors is None
+
+
+def test_padding_fields_of_a_message_may_have_one_name():
+    field = type("Field", (), {})
+    fields = []
+    for name, offset, kind in (("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("_", 12, 2), ("_", 13, 2)):
+        fields.append(field())
+        vars(fields[-1]).update(name=name, offset=offset, datatype=kind, count=1)
+    data = np.zeros((COUNT, 14), np.uint8)
+    data[:, :12] = XYZ.view(np.uint8).reshape(COUNT, 12)
+    made = type("Message", (), {"fields": fields, "width": COUNT, "height": 1, "point_step": 14})()
+    made.row_step, made.is_bigendian, made.data = 14 * COUNT, False, data.reshape(-1)
+    np.testing.assert_array_equal(cloud_points(made, "scan")[0].points.float(), XYZ)
+    fields[-1].name = "x"
+    with pytest.raises(ValueError, match="scan: field 'x' is there twice"):
+        cloud_points(made, "scan")

@@ -6,6 +6,7 @@ import sys
 import threading
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -119,3 +120,17 @@ def test_a_program_that_opened_a_page_ends(out):
     )
     assert (done.returncode, done.stdout.splitlines()[0]) == (0, "end"), done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_click_at_the_edge_of_the_photo_stays_at_that_edge(out, monkeypatch):
+    viewer = opened(out, 8990)
+    pieces, chosen = np.full((4, 6), -1), []
+    pieces[0, 0] = 3
+    monkeypatch.setattr(type(viewer.model.parts), "image", lambda *_: pieces)
+    monkeypatch.setattr(viewer, "_on_point", lambda point, _: chosen.append(point))
+    for place in ("-1 -1", "-9 0", "5 3", "99 99", f"{10**30} 0"):
+        viewer._panel.bridge = SimpleNamespace(value=f"torchjoint:image {place} 0 1")
+        viewer._on_event(None)
+    middle = viewer.model.parts.middle(3)
+    assert chosen == [middle, middle, None, None, None]
+    viewer.stop()

@@ -229,13 +229,13 @@ class Viewer:
             self._choose(self.model.segment_of_key(int(values[0])), values[1] == "1")
         elif kind == "image":
             pieces = self.model.parts.image(self._frame_index())
-            piece = int(pieces[min(int(values[1]), len(pieces) - 1), min(int(values[0]), pieces.shape[1] - 1)])
+            column, row = np.clip([*map(int, values[:2])], 0, np.array(pieces.shape[::-1]) - 1)  # an edge may give -1
+            piece = int(pieces[row, column])
             self._on_point(None if piece < 0 else self.model.parts.middle(piece), values[2] == "1")
 
     def _on_ray(self, event: Any, more: bool) -> None:
         ray = np.array(event.ray_origin), np.array(event.ray_direction)
-        point = pick_point(self.result.scene.points.numpy(), *ray, 0.5 * self._cloud.size)
-        self._on_point(point, more)
+        self._on_point(pick_point(self.result.scene.points.numpy(), *ray, 0.5 * self._cloud.size), more)
 
     def _on_point(self, point: int | None, more: bool) -> None:
         """A click on a point of the cloud: selects its segment, or belongs to the thing that is being picked."""

@@ -124,7 +124,7 @@ def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
 
     And how many points are left out because they are (0, 0, 0), as drivers write a beam without return.
     """
-    fields = dict_of([(field.name, field) for field in message.fields], f"{name}: field")
+    fields = dict_of([(one.name, one) for one in message.fields if one.name != "_"], f"{name}: field")  # "_": padding
     count, step = int(message.width) * int(message.height), int(message.point_step)
     row_step = int(message.row_step) or step * int(message.width)
     size = row_step * int(message.height)
@@ -138,7 +138,7 @@ def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
     rows = np.ascontiguousarray(rows).reshape(count, step)
     order = ">" if message.is_bigendian else "<"
     columns = {}
-    for field in message.fields:
+    for field in fields.values():
         kind, number = np.dtype(f"{order}{_FIELDS.get(field.datatype, 'u1')}"), max(int(field.count), 1)
         end = field.offset + kind.itemsize * number
         if end > step:
