@@ -184,6 +184,7 @@ QUAD = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
         (f"{QUAD}f -4 -3 -2\n", [[0, 1, 2]]),
         (f"{QUAD}f 1 2 3\n  f 2 4 3\n", [[0, 1, 2], [1, 3, 2]]),  # it was left out
         (f"{QUAD}f 1 2 \\\n 3\n", [[0, 1, 2]]),
+        (f"{QUAD}vn 0 0 1 # up\nf 1 2 3 # first\n", [[0, 1, 2]]),
         (f"{QUAD}f -4 -3 -2\n{QUAD}f -4 -3 -2\n", "behind all vertices, where they count back"),
         (f"{QUAD}f 1 2 3\nf 2 4\n", "at least three vertices, got 'f 2 4'"),
     ],

@@ -62,7 +62,8 @@ def read_mesh_file(path: Path) -> CloudFile:
     if suffix in (".obj", ".off"):
         data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if suffix == ".obj":
-        data = re.sub(rb"^ +", b"", data, flags=re.MULTILINE)
+        data = re.sub(rb"(?m)^( *(?:f|v[nt]?) [^#\n]*)#.*", rb"\1", data)  # comments behind values
+        data = re.sub(rb"(?m)^ +", b"", data)
     if suffix == ".off" and not _OFF.match(data):
         raise ValueError(f"{path}: expected text that begins with OFF, COFF, NOFF or STOFF, got {data[:20]!r}")
     if suffix == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little") and any(data[133::50]):
