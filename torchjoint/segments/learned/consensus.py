@@ -73,8 +73,8 @@ class Panel:
     """T judges, of three kinds: a member of the model; a member with noise; and the mean of all other members.
 
     Args:
-        model: M members, T = 3 M.
-        share: which of the judges there are; their noise depends on its start.
+        model: M members, of which 3 M judges are made.
+        share: the T judges among them that this panel has; the seed of their noise is its start.
     """
 
     def __init__(self, model: BoundaryModel, share: slice = slice(0, None)) -> None:

@@ -21,7 +21,7 @@ from torchjoint.segments.learned.region_statistics import RegionStatistics, pool
 from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
-#: Clouds of more points take more time, and less memory: judged draw by draw, for example.
+#: For clouds of more points, less memory counts more than less time: they are judged draw by draw.
 MANY_POINTS = 400_000
 
 

@@ -13,8 +13,8 @@ from torchjoint import ops
 from torchjoint.runtime.groups import first_places
 from torchjoint.segments.learned.region_statistics import sum_by
 
-#: A region of fewer points is small: without images, and with masks, because networks leave such remains; with images,
-#: whose contours tell small things from remains.
+#: A region of fewer points is small. The first number is for clouds alone, and for masks, of which networks leave such
+#: remains; the second for images, whose contours tell small things from remains.
 MIN_SIZE, MIN_SIZE_IN_IMAGES = 50, 15
 
 
