@@ -31,15 +31,14 @@ def bounds(value, name):
 
 def test_sums_and_means_by_hand():
     found = of_gaps([5.0, 1, 3, math.nan, 2, 4, math.nan], [0, 0, 0, 0, 0, 2, 1], 3)
-    gap = list(MEASURES).index("gap")
     assert found.num_edges.tolist() == [5, 1, 1]
-    assert found.total.sum(2)[:, gap].tolist() == [11, 0, 4]
-    assert found.binned.sum(2)[:, gap].tolist() == [4, 0, 1]
+    assert found.binned["gap"].sum(2).tolist() == [[4, 11], [0, 0], [1, 4]]
     means, quantiles = found.means(), found.quantiles(SHARES)
     assert means["gap"][[0, 2]].tolist() == [11 / 4, 4]
     assert quantiles["gap"][[0, 2]].tolist() == [[1, 3, 5], [4, 4, 4]]  # the places 0.3, 1.5 and 2.7 are rounded
-    for missing in (means["gap"][1], quantiles["gap"][1], means["bend"], quantiles["bend"]):
-        assert missing.isnan().all()
+    assert means["gap"][1].isnan()
+    assert quantiles["gap"][1].isnan().all()
+    assert [*found.binned] == [*quantiles] == ["gap"]  # all else is unknown
     assert all((means[name] == 0).all() for name in AVERAGED)
 
 
@@ -70,10 +69,10 @@ def test_a_quantile_lies_in_the_bin_of_the_exact_one(data):
 @pytest.mark.parametrize("value", [0.0, 1e-30, 3e38, math.inf])
 def test_extreme_values(value):
     found = of_gaps([value], [0], 1)
-    assert found.binned.sum() == (value < math.inf)
+    assert found.binned["gap"][:, 0].sum() == (value < math.inf)
     expected = [value] * 3 if value < math.inf else [math.nan] * 3
     assert found.quantiles(SHARES)["gap"][0].tolist() == pytest.approx(expected, nan_ok=True)
-    assert not found.total.isnan().any()
+    assert not found.binned["gap"].isnan().any()
 
 
 def test_groups_are_the_boundaries_of_all_their_edges():
@@ -81,8 +80,16 @@ def test_groups_are_the_boundaries_of_all_their_edges():
     values = {name: torch.rand(200, generator=generator) for name in (*MEASURES, *AVERAGED)}
     values["crease"][::3] = torch.nan
     pair, of_pair = torch.arange(200) % 12, torch.arange(12) // 4
-    apart, expected = Boundaries.of(pair, 12, dict(values)), Boundaries.of(of_pair[pair], 3, values)
-    for found, wanted in zip(apart.grouped(of_pair, 3), expected, strict=True):
-        torch.testing.assert_close(found, wanted)
-    parts = [apart.selected(torch.arange(start, start + 6)) for start in (0, 6)]
-    assert all(map(torch.equal, Boundaries.union(parts), apart))
+    apart = Boundaries.of(pair, 12, dict(values))
+    few = (pair == 3) | (pair == 5)
+    alone = Boundaries.of(
+        torch.zeros(int(few.sum()), dtype=torch.int64), 1, {name: of[few] for name, of in values.items()}
+    )
+    expected = Boundaries.of(of_pair[pair], 3, values)
+    both = apart.grouped([torch.arange(12), torch.tensor([3, 5])], [of_pair, torch.tensor([0, 0])], [3, 1])
+    for found, first, second in zip(*(columns(one) for one in (both, expected, alone)), strict=True):
+        torch.testing.assert_close(found, torch.cat([first, second]))
+
+
+def columns(boundaries):
+    return boundaries.num_edges, boundaries.averaged, *boundaries.binned.values()

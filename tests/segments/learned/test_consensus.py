@@ -172,7 +172,7 @@ def silent(monkeypatch):
 class TestConsensus:
     def test_trees_are_those_of_each_judge_by_itself(self, evidence, silent):
         model = load_boundary_model()
-        levels, segments = segments_of_judges([evidence], model)
+        _, levels, segments = segments_of_judges([evidence], model)
         assert levels == [0.075, 0.15, 0.2, 0.25, 0.3, 0.35, 0.425, 0.5, 0.6, 0.8, 0.9, 1.0]
         for judge, members in ((1, [1]), (6, [1]), (14, [0, 1, 2, 3])):
             alone = build_hierarchy(evidence, BoundaryModel(tuple(model.members[member] for member in members)))
@@ -181,17 +181,17 @@ class TestConsensus:
 
     def test_each_draw_has_its_share_of_the_judges(self, evidence, silent):
         model = load_boundary_model()
-        _, expected = segments_of_judges([evidence], model)
-        _, segments = segments_of_judges([evidence, evidence], model)
+        _, _, expected = segments_of_judges([evidence], model)
+        _, _, segments = segments_of_judges([evidence, evidence], model)
         order = [*range(0, 15, 2), *range(1, 15, 2)]
         for of_judges, alone in zip(segments, expected, strict=True):
             assert all(torch.equal(one, alone[judge]) for one, judge in zip(of_judges, order, strict=True))
 
     def test_trees_made_draw_by_draw_are_the_same(self, evidence, monkeypatch):
         model = load_boundary_model()
-        _, expected = segments_of_judges([evidence] * 3, model)
+        _, _, expected = segments_of_judges([evidence] * 3, model)
         monkeypatch.setattr("torchjoint.segments.learned.consensus.MANY_POINTS", 0)
-        _, found = segments_of_judges([evidence] * 3, model)
+        _, _, found = segments_of_judges([evidence] * 3, model)
         for one, other in zip(expected, found, strict=True):
             assert all(map(torch.equal, one, other))
             assert len(one) == len(other) == 15
@@ -200,8 +200,8 @@ class TestConsensus:
         graph, model = segmenter.graph, load_boundary_model()
         other = build_piece_graph(drawn_anew(graph, graph.scales, 1), graph.scales, segmenter.state)
         assert not torch.equal(other.piece, evidence.piece)
-        _, segments = segments_of_judges([evidence, other], model)
-        _, own = segments_of_judges([other], model)
+        _, _, segments = segments_of_judges([evidence, other], model)
+        _, _, own = segments_of_judges([other], model)
         of_point = own[0][1][other.piece]  # judge 1 after the first step
         for piece in range(len(evidence.statistics.size)):
             most = Counter(sorted(of_point[evidence.piece == piece].tolist())).most_common(1)
@@ -214,7 +214,7 @@ class TestConsensus:
     @pytest.mark.parametrize("height", [0.5, 0.6])
     def test_a_level_has_together_what_most_trees_have(self, evidence, height):
         model = load_boundary_model()
-        levels, segments = segments_of_judges([evidence], model)
+        _, levels, segments = segments_of_judges([evidence], model)
         of_piece = build_consensus([evidence], model).segments_of_pieces(height)
         a, b = evidence.pairs
         trees = torch.stack(segments[levels.index(height)])

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 import torchjoint as tj
 from torchjoint.scene.frame import PoseWarning
-from torchjoint.segments.learned.boundaries import MEASURES
 from torchjoint.segments.learned.images import image_colors
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.observations import Observation, Observations
@@ -115,7 +114,7 @@ def test_what_no_image_sees_has_no_colors():
     first, second = graph.edge_index
     across = evidence.piece[first] != evidence.piece[second]
     both = (is_seen[first] & is_seen[second])[across]
-    of_steps = evidence.boundaries.binned[:, list(MEASURES).index("color_step")]
+    of_steps = evidence.boundaries.binned["color_step"][:, 0]
     assert of_steps.sum() == both.sum() < across.sum()
     colored = torch.zeros(len(evidence.statistics.size)).index_add_(0, evidence.piece, is_seen.float())
     assert torch.equal(evidence.statistics.colored.float(), colored)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -31,8 +30,7 @@ MEASURES = {
 AVERAGED = ("hollow", "unoriented", "seen", "views")
 #: Number of bins of a measure. The bins of the crease begin at -1 and all others at 0, see :func:`_bins`.
 BINS = 32
-_LOWEST = torch.tensor([-1.0] + [0.0] * (len(MEASURES) - 1))
-_SCALES = torch.tensor(list(MEASURES.values()))
+_LOWEST = {"crease": -1.0}
 
 
 class Boundaries(NamedTuple):
@@ -40,9 +38,9 @@ class Boundaries(NamedTuple):
 
     num_edges: Tensor  #: [Q] int64
     averaged: Tensor  #: [Q, A] float64, sums of AVERAGED
-    #: [Q, M, BINS] float32, whole numbers: edges by the bin of their measure. An edge without a value is in no bin.
-    binned: Tensor
-    total: Tensor  #: [Q, M, BINS] float32, sum of the values in each bin
+    #: For each known measure [Q, 2, BINS] float32: the number of edges in each bin, and the sum of their values; an
+    #: edge without a value is in no bin
+    binned: dict[str, Tensor]
 
     @classmethod
     def of(cls, pair: Tensor, num_pairs: int, values: dict[str, Tensor]) -> Boundaries:
@@ -53,48 +51,51 @@ class Boundaries(NamedTuple):
             num_pairs: Q.
             values: those of MEASURES and AVERAGED that are known, [C] each, NaN = missing; will be empty.
         """
-        averaged = torch.zeros(num_pairs, len(AVERAGED), dtype=torch.float64)
-        # not torch's: what is not written, of unknown measures, takes no memory
-        binned, total = torch.from_numpy(np.zeros((2, num_pairs, len(MEASURES), BINS), np.float32))
+        averaged, binned = torch.zeros(num_pairs, len(AVERAGED), dtype=torch.float64), {}
         for number, name in enumerate(AVERAGED):
             if name in values:
                 averaged[:, number] = sum_by(pair, values.pop(name).double(), num_pairs)
-        for number, name in enumerate(MEASURES):
+        for name in MEASURES:
             if name in values:
                 known, value = values[name].isfinite(), values.pop(name).nan_to_num(0, 0, 0)
-                key = pair * BINS + _bins(value, number)
-                for sums, of_edge in ((binned, known), (total, value)):
+                key = pair * BINS + _bins(value, name)
+                sums = binned[name] = torch.empty(num_pairs, 2, BINS)
+                for number, of_edge in enumerate((known, value)):
                     sums[:, number] = torch.bincount(key, of_edge, num_pairs * BINS).view(num_pairs, BINS)
-        return cls(torch.bincount(pair, minlength=num_pairs), averaged, binned, total)
+        return cls(torch.bincount(pair, minlength=num_pairs), averaged, binned)
 
-    def grouped(self, of_pair: Tensor, num_pairs: int) -> Boundaries:
-        """Adds boundaries that become one; `of_pair` [Q] int64 is the new one of each."""
-        return Boundaries(*(sum_by(of_pair, values, num_pairs) for values in self))
+    def grouped(self, across: Sequence[Tensor], of_pair: Sequence[Tensor], num_pairs: Sequence[int]) -> Boundaries:
+        """Boundaries that become one are added; in several ways, one after the other.
 
-    def selected(self, kept: Tensor) -> Boundaries:
-        """The boundaries with the numbers `kept` [q] int64, in this order."""
-        return Boundaries(*(values.index_select(0, kept) for values in self))
+        Args:
+            across: for each way the numbers [q] int64 of the boundaries that stay.
+            of_pair: for each way [q] int64, the new boundary of each of these.
+            num_pairs: for each way the number of new boundaries.
+        """
 
-    @classmethod
-    def union(cls, parts: Sequence[Boundaries]) -> Boundaries:
-        """The boundaries of several graphs, one after the other."""
-        return cls(*(torch.cat(values) for values in zip(*parts, strict=True)))
+        def changed(values: Tensor) -> Tensor:
+            ways = zip(across, of_pair, num_pairs, strict=True)
+            return torch.cat([sum_by(new, values.index_select(0, kept), count) for kept, new, count in ways])
+
+        binned = {name: changed(values) for name, values in self.binned.items()}  # one by one: less memory
+        return Boundaries(changed(self.num_edges), changed(self.averaged), binned)
 
     def means(self) -> dict[str, Tensor]:
-        """Mean of each measure over the edges with a value, [Q] float64, NaN without one; of AVERAGED over all."""
-        pairs = zip(self.total.unbind(1), self.binned.unbind(1), strict=True)  # one by one: less memory
-        measured = [total.sum(1, dtype=torch.float64) / binned.sum(1) for total, binned in pairs]
-        averaged = (self.averaged / self.num_edges[:, None]).unbind(1)
-        return dict(zip((*MEASURES, *AVERAGED), (*measured, *averaged), strict=True))
+        """Mean of each known measure over the edges with a value, [Q] float64, NaN = none; of AVERAGED over all."""
+        measured = {
+            name: sums[:, 1].sum(1, dtype=torch.float64) / sums[:, 0].sum(1) for name, sums in self.binned.items()
+        }
+        return measured | dict(zip(AVERAGED, (self.averaged / self.num_edges[:, None]).unbind(1), strict=True))
 
     def quantiles(self, shares: Sequence[float]) -> dict[str, Tensor]:
-        """Quantiles of each measure, [Q, len(shares)] float32, NaN without a value.
+        """Quantiles of each known measure, [Q, len(shares)] float32, NaN without a value.
 
         The quantile q of n values is the one at place (n - 1) q in ascending order, rounded; instead of it, the mean of
         all values in its bin is given.
         """
         found = {}
-        for name, binned, total in zip(MEASURES, self.binned.unbind(1), self.total.unbind(1), strict=True):
+        for name, sums in self.binned.items():
+            binned, total = sums.unbind(1)
             up_to = binned.cumsum(1)
             place = ((up_to[:, -1:] - 1) * torch.tensor(shares)).round()
             bin_ = torch.searchsorted(up_to, place, right=True).clamp_(max=BINS - 1)
@@ -102,11 +103,11 @@ class Boundaries(NamedTuple):
         return found
 
 
-def _bins(values: Tensor, measure: int) -> Tensor:
+def _bins(values: Tensor, measure: str) -> Tensor:
     """The bin of each value [C], 0 ... BINS - 1.
 
     The bins are narrow where values are typical, and reach to infinity. All operations round alike on all machines.
     """
-    lowest = _LOWEST[measure]
-    share = (values / (values.abs() + _SCALES[measure]) - lowest) / (1 - lowest)
+    lowest = _LOWEST.get(measure, 0.0)
+    share = (values / (values.abs() + MEASURES[measure]) - lowest) / (1 - lowest)
     return (share * BINS).long().clamp_(0, BINS - 1)

@@ -29,7 +29,7 @@ from torchjoint.segments.learned.agglomeration import Merges, build_hierarchy, l
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.masks import MaskLinkage
-from torchjoint.segments.learned.piece_graph import MANY_POINTS, PieceGraph, counted, disjoint_union
+from torchjoint.segments.learned.piece_graph import MANY_POINTS, PieceGraph, counted
 from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES, merges_by_contact
 
@@ -119,8 +119,8 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
     """The consensus of the trees of many judges: :class:`Panel`. With masks, each draw has one tree, of all members.
 
     Args:
-        draws: the pieces and what is known about their boundaries, one or several times. Each draw has its share of the
-            judges. The first one has the pieces of the result.
+        draws: the pieces and what is known about their boundaries, one or several times, each read once. Each draw has
+            its share of the judges. The first one has the pieces of the result.
         model: the judges are made of its members.
 
     Returns:
@@ -128,13 +128,9 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
         this threshold. Between two thresholds, heights ascend with the share of the trees that are against a merge.
         Its votes are the trees' segments at the default level.
     """
-    pieces = draws[0]
+    pieces, levels, segments = segments_of_judges(draws, model)
     size = pieces.statistics.size.long()
     linkage = MaskLinkage.of(pieces.masks, size)
-    if linkage is None:
-        levels, segments = segments_of_judges(draws, model)
-    else:
-        levels, segments = _segments_by_masks(draws, model)
     merges, below, default = Merges(len(size)), 0.0, last_levels(model.thresholds, pieces)[0]
     of_piece = torch.arange(len(size))
     for level, of_judges in zip(levels, segments, strict=True):
@@ -158,67 +154,87 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
     return replace(merges.hierarchy(pieces.piece, default), votes=votes)
 
 
-def segments_of_judges(draws: Sequence[PieceGraph], model: BoundaryModel) -> tuple[list[float], list[list[Tensor]]]:
-    """The thresholds of the L levels of the merging; and for each level the segments of each judge's tree.
+def segments_of_judges(
+    draws: Sequence[PieceGraph], model: BoundaryModel
+) -> tuple[PieceGraph, list[float], list[list[Tensor]]]:
+    """The first draw without measures; thresholds of the L levels; for each level the segments of each judge's tree.
 
     The segments [P] are those of the first draw's pieces: a piece is where most of its points are after the first step.
     """
-    levels, piece = _levels(model.thresholds, draws[0]), draws[0].piece
+    given = [draws[0]]  # whoever takes it is the only one who has its measures
+    pieces = given[0].without_measures()
+    levels = _levels(model.thresholds, pieces)
+
+    def taken(number: int) -> PieceGraph:
+        return draws[number] if number else given.pop()
 
     def of_draw(number: int) -> list[list[Tensor]]:
-        panel, pieces = Panel(model, slice(number, None, len(draws))), draws[number]
-        after = _first_regions(pieces, panel, levels[0])
-        return _segments(_grouped(pieces, after), _of_other_pieces(after, pieces.piece, piece), panel, model, levels)
+        if pieces.masks is not None:
+            return _segments_by_masks(taken(number), model, levels, pieces.piece)
+        panel = Panel(model, slice(number, None, len(draws)))
+        cells, regions, after = _first_step(taken(number), panel, levels[0], pieces.piece)
+        return _segments(cells, regions, after, panel, model, levels)
 
     numbers = range(len(draws))
-    found = parallel_map(of_draw, numbers) if len(piece) <= MANY_POINTS else [of_draw(number) for number in numbers]
-    return levels, [list(chain.from_iterable(of_level)) for of_level in zip(*found, strict=True)]
+    found = parallel_map(of_draw, numbers) if len(pieces.piece) <= MANY_POINTS else [*map(of_draw, numbers)]
+    return pieces, levels, [list(chain.from_iterable(of_level)) for of_level in zip(*found, strict=True)]
 
 
 def _levels(thresholds: Sequence[float], pieces: PieceGraph) -> list[float]:
     return sorted({threshold for _, threshold in merging_steps(thresholds)} | {*last_levels(thresholds, pieces)})
 
 
-def _segments_by_masks(draws: Sequence[PieceGraph], model: BoundaryModel) -> tuple[list[float], list[list[Tensor]]]:
-    """As :func:`segments_of_judges`, with masks."""
-    levels, of_draws = _levels(model.thresholds, draws[0]), []
-    for pieces in draws:
-        tree = build_hierarchy(pieces, model)
-        found = [tree.segments_of_pieces(level) for level in levels]
-        of_draws.append(_of_other_pieces(found, pieces.piece, draws[0].piece))
-    return levels, [list(of_level) for of_level in zip(*of_draws, strict=True)]
+def _segments_by_masks(
+    pieces: PieceGraph, model: BoundaryModel, levels: Sequence[float], other: Tensor
+) -> list[list[Tensor]]:
+    """For each level the segments of the one tree of all members, of other pieces (as :func:`_first_step`)."""
+    tree = build_hierarchy(pieces, model)
+    found = [tree.segments_of_pieces(level) for level in levels]
+    return [[of_level] for of_level in _of_other_pieces(found, pieces.piece, other)]
 
 
-def _first_regions(pieces: PieceGraph, panel: Panel, threshold: float) -> list[Tensor]:
-    """The regions [P] of the pieces after the first step, for each of the judges."""
+def _first_step(
+    pieces: PieceGraph, panel: Panel, threshold: float, other: Tensor
+) -> tuple[PieceGraph, list[Tensor], list[Tensor]]:
+    """The first step of each judge.
+
+    Args:
+        pieces: of the draw.
+        panel: the judges.
+        threshold: of the step.
+        other: [N] int64, the other piece of each point.
+
+    Returns:
+        the graph of the C cells, which are the pieces that all judges have together; the regions [C] of each judge; and
+        the region of each other piece, for each judge.
+    """
     num_edges = pieces.boundaries.num_edges
 
     def merged(probability: Tensor) -> Tensor:
         joined, _ = ops.region_dendrogram(pieces.pairs, probability.float(), len(pieces), threshold, num_edges)
         return ops.connected_components(joined, len(pieces))
 
-    return parallel_map(merged, panel.first_probabilities(boundary_features(pieces)))
-
-
-def _grouped(pieces: PieceGraph, regions: Sequence[Tensor]) -> list[PieceGraph]:
-    """The graph of the regions [P] of each judge."""
-    # First without what no judge needs any more: boundaries inside cells, which are the pieces that all have together.
+    regions = parallel_map(merged, panel.first_probabilities(boundary_features(pieces)))
     cell = _together(regions)
     cells = pieces.grouped(cell)
-    return parallel_map(
-        cells.grouped, [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
-    )
+    of_cells = [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
+    return cells, of_cells, _of_other_pieces(regions, pieces.piece, other)
 
 
 def _segments(
-    graphs: Sequence[PieceGraph], regions: Sequence[Tensor], panel: Panel, model: BoundaryModel, levels: Sequence[float]
+    cells: PieceGraph,
+    of_cells: Sequence[Tensor],
+    regions: Sequence[Tensor],
+    panel: Panel,
+    model: BoundaryModel,
+    levels: Sequence[float],
 ) -> list[list[Tensor]]:
-    """For each level the segments of each of the judges, whose regions after the first step [P] are known."""
-    sizes = [len(graph) for graph in graphs]
-    judge = torch.arange(len(graphs)).repeat_interleave(torch.tensor(sizes))
+    """For each level the segments of each of the judges, whose regions after the first step [C], [P] are known."""
+    sizes = [int(region.max()) + 1 for region in of_cells]
+    judge = torch.arange(len(sizes)).repeat_interleave(torch.tensor(sizes))
     # The first step merges nearly everything. What is left is small, so that the judges' graphs together fit in one.
     forest = merge_pieces(
-        disjoint_union(graphs),
+        cells.grouped(*of_cells),
         model.thresholds,
         lambda number, values, piece: panel.probabilities(number, values, judge[piece]),
         begun=True,

@@ -41,16 +41,18 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
     if graph.scales is None:
         raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
     scales, colors = graph.scales, measure_colors(graph, evidence.observations)
-    pieces = build_piece_graph(graph, scales, evidence, colors)
-    model = _model(config, sees_images=pieces.images is not None and pieces.masks is None and _has_hues(colors))
+    first = [build_piece_graph(graph, scales, evidence, colors)]
+    masks = first[0].masks
+    model = _model(config, sees_images=first[0].images is not None and masks is None and _has_hues(colors))
 
     def draw(number: int) -> PieceGraph:
-        return build_piece_graph(drawn_anew(graph, scales, number), scales, evidence, colors) if number else pieces
+        # the first one only once, so that it is freed
+        return build_piece_graph(drawn_anew(graph, scales, number), scales, evidence, colors) if number else first.pop()
 
     hierarchy = build_consensus(LazySequence(DRAWS, draw), model)
-    if pieces.masks is None:
+    if masks is None:
         return hierarchy
-    return move_to_majority(hierarchy, graph.edge_index, pieces.masks, evidence.observations)
+    return move_to_majority(hierarchy, graph.edge_index, masks, evidence.observations)
 
 
 def measured(graph: PointGraph) -> str:

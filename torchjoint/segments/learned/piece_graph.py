@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -129,22 +129,29 @@ class PieceGraph:
         """P, the number of pieces."""
         return len(self.statistics.size)
 
-    def grouped(self, group: Tensor) -> PieceGraph:
-        """The same with groups of pieces as pieces, each of which is its only point; without masks.
+    def without_measures(self) -> PieceGraph:
+        """The same, of whose boundaries only the averages are known: they take a tenth of the memory."""
+        return replace(self, boundaries=self.boundaries._replace(binned={}))
+
+    def grouped(self, *groups: Tensor) -> PieceGraph:
+        """Disjoint copies of the same with groups of pieces as pieces, each of which is its only point; without masks.
 
         Args:
-            group: [P] int64, group of each piece, 0 ... G - 1, numbered by first appearance.
+            groups: for each copy [P] int64, group of each piece, 0 ... G - 1, numbered by first appearance. The pieces
+                of each copy follow those of the copy before it.
         """
-        num_groups = int(group.max()) + 1
-        across, pairs, of_pair = pairs_of(group, self.pairs)
+        *starts, num_pieces = accumulate((int(group.max()) + 1 for group in groups), initial=0)
+        across, pairs, of_pair = zip(*(pairs_of(group, self.pairs) for group in groups), strict=True)
+        images, occlusions = self.images, self.occlusions
         return PieceGraph(
-            torch.arange(num_groups),
-            pairs,
-            self.boundaries.selected(across).grouped(of_pair, pairs.shape[1]),
-            pooled(self.statistics, group, num_groups),
+            torch.arange(num_pieces),
+            torch.cat([ends + start for ends, start in zip(pairs, starts, strict=True)], 1),
+            self.boundaries.grouped(across, of_pair, [ends.shape[1] for ends in pairs]),
+            RegionStatistics.union([pooled(self.statistics, group, int(group.max()) + 1) for group in groups]),
             self.typical_color_step,
-            None if self.images is None else self.images.grouped(group),
-            occlusions=None if self.occlusions is None else self.occlusions.grouped(group),
+            None if images is None else ImageCounts.union([images.grouped(group) for group in groups], starts),
+            None,
+            None if occlusions is None else Occlusions.union([occlusions.grouped(group) for group in groups], starts),
         )
 
 
@@ -156,22 +163,3 @@ def pairs_of(piece: Tensor, edge_index: Tensor) -> tuple[Tensor, Tensor, Tensor]
     key = torch.minimum(first, second) * num_pieces + torch.maximum(first, second)
     key, pair = torch.unique(key, return_inverse=True)
     return across, torch.stack([key // num_pieces, key % num_pieces]), pair
-
-
-def disjoint_union(graphs: Sequence[PieceGraph]) -> PieceGraph:
-    """Makes one graph of several grouped graphs of one cloud, so that all their boundaries are judged together.
-
-    The pieces of each graph follow those of the graph before it.
-    """
-    *starts, num_pieces = accumulate(map(len, graphs), initial=0)
-    images = [graph.images for graph in graphs if graph.images is not None]
-    occlusions = [graph.occlusions for graph in graphs if graph.occlusions is not None]
-    return PieceGraph(
-        torch.arange(num_pieces),
-        torch.cat([graph.pairs + start for graph, start in zip(graphs, starts, strict=True)], 1),
-        Boundaries.union([graph.boundaries for graph in graphs]),
-        RegionStatistics.union([graph.statistics for graph in graphs]),
-        graphs[0].typical_color_step,
-        ImageCounts.union(images, starts) if images else None,
-        occlusions=Occlusions.union(occlusions, starts) if occlusions else None,
-    )
