@@ -14,7 +14,7 @@ from torchjoint.scene import Cloud, Hierarchy
 from torchjoint.segments.learned.boundary_model import OF_IMAGES, PACKAGED, BoundaryModel, load_boundary_model
 from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
 from torchjoint.segments.learned.masks import move_to_majority
-from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.segments.learned.piece_graph import PieceGraph, masks_of_pieces
 from torchjoint.segments.learned.pieces import Colors, build_piece_graph, measure_colors
 from torchjoint.views.evidence import Evidence
 
@@ -40,19 +40,16 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
     """All levels of the segmentation."""
     if graph.scales is None:
         raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
-    scales, colors = graph.scales, measure_colors(graph, evidence.observations)
-    first = [build_piece_graph(graph, scales, evidence, colors)]
-    masks = first[0].masks
-    model = _model(config, sees_images=first[0].images is not None and masks is None and _has_hues(colors))
+    scales, observations = graph.scales, evidence.observations
+    colors, without_masks = measure_colors(graph, observations), len(observations.without_masks())
+    sees_images = 0 < without_masks == len(observations) and _has_hues(colors)
 
     def draw(number: int) -> PieceGraph:
-        # the first one only once, so that it is freed
-        return build_piece_graph(drawn_anew(graph, scales, number), scales, evidence, colors) if number else first.pop()
+        return build_piece_graph(drawn_anew(graph, scales, number) if number else graph, scales, evidence, colors)
 
-    hierarchy = build_consensus(LazySequence(DRAWS, draw), model)
-    if masks is None:
-        return hierarchy
-    return move_to_majority(hierarchy, graph.edge_index, masks, evidence.observations)
+    hierarchy = build_consensus(LazySequence(DRAWS, draw), _model(config, sees_images))
+    masks = masks_of_pieces(hierarchy.piece, observations)
+    return hierarchy if masks is None else move_to_majority(hierarchy, graph.edge_index, masks, observations)
 
 
 def measured(graph: PointGraph) -> str:
