@@ -28,6 +28,7 @@ from torchjoint.results.manifest import FILE as MANIFEST
 from torchjoint.results.manifest import (
     HIERARCHY,
     PIECES,
+    PNG,
     Check,
     read_hierarchy,
     read_piece_image,
@@ -121,7 +122,7 @@ def write_result(
     if len(scene.frames):
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
     write_segments(folder, scene, result)
-    overview(scene, result).savefig(folder / "overview.png", dpi=100, pil_kwargs={"compress_level": 3})
+    overview(scene, result).savefig(folder / "overview.png", dpi=100, pil_kwargs=PNG)
     record = _run_record(scene, result, config, source, granularity, last_label)
     if fingerprint is not None:
         record["fingerprint"] = fingerprint
@@ -252,8 +253,7 @@ def _write_label_images(folder: Path, result: Segmentation) -> int:
                 f"image segments: ids up to {last} do not fit 16-bit images (at most {MAX_LABEL}); "
                 "raise image_segments.min_size, or choose a lower granularity"
             )
-        # Compression level 3: as for the pieces.
-        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{names[index]}.png", compress_level=3)
+        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{names[index]}.png", **PNG)
         return last
 
     return max(parallel_map(write, range(len(names))), default=-1)
