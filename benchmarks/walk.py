@@ -97,12 +97,12 @@ def main() -> None:
     seconds = time.perf_counter() - start
     about = (
         f"{before:.2f} GB of the memory are the program, its rooms and the segmenter before the first frame; at most "
-        f"{arguments.memory} are keyframes, the others are on the disk. A result at the end, of "
-        f"{len(result.cloud.points):,} points, takes {seconds:.0f} s; the peak with it is "
-        f"{(peak_memory() or 0) / 1000:.2f} GB."
+        f"{arguments.memory} are keyframes, the others are on the disk."
     )
-    columns = {"minutes": 0, "frames": 0, "keyframes": 0, "blocks of surface": 0}
-    report.save("walk", [report.Table(columns | {"peak memory, GB": 2}, rows)], about=about)
+    columns = {"minutes": 0, "frames": 0, "keyframes": 0, "blocks of surface": 0, "peak memory, GB": 2}
+    last = ["at the end", len(result.cloud.points), seconds, (peak_memory() or 0) / 1000]
+    ends = report.Table({"a result": 0, "points": 0, "s": 1, "peak with it, GB": 2}, [last])
+    report.save("walk", [report.Table(columns, rows), ends], about=about)
 
 
 if __name__ == "__main__":

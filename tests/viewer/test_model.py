@@ -11,8 +11,9 @@ import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, place_to_split, read_edits, write_edits
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.parts import Parts, edited
+from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
-from torchjoint.scene import Hierarchy
+from torchjoint.scene import Hierarchy, Scene, Segmentation
 from torchjoint.viewer.cloud import blocks_of, pick_point
 from torchjoint.viewer.model import Model, export_selected
 from torchjoint.viewer.painting import painted, point_colors
@@ -550,15 +551,13 @@ def test_live_parameters_need_no_frames_again(method):
         assert tj.config.evidence_differences(config, changed) == []
 
 
-def test_labels_so_far_change_nothing_and_keep_their_numbers(scene_of):
+def test_labels_so_far_change_nothing(scene_of):
     pytest.importorskip("viser")
-    from torchjoint.viewer.live import kept_numbers, labels_so_far
+    from torchjoint.viewer.live import labels_so_far
 
     scene, config = scene_of(3).scene, tj.Config().set(["boundary.detector=gradient"])
-    segmenter, looks = tj.JointSegmenter(config), []
-    for _ in segmenter.steps(scene, batch_size=3):
-        before = looks[-1].points if looks else None
-        looks.append(labels_so_far(segmenter, scene, before))
+    segmenter = tj.JointSegmenter(config)
+    looks = [labels_so_far(segmenter, scene) for _ in segmenter.steps(scene, batch_size=3)]
     watched, plain = segmenter.compute(), tj.JointSegmenter(config)(scene)
     assert torch.equal(watched.points, plain.points)
     assert all(torch.equal(one, other) for one, other in zip(watched.images, plain.images, strict=True))
@@ -566,22 +565,37 @@ def test_labels_so_far_change_nothing_and_keep_their_numbers(scene_of):
     assert bool((first.images[0] == -1).all())
     assert bool((second.images[0] >= 0).any())
     assert bool((second.images[3] == -1).all())
-    # The last look is the result, with other numbers for the segments, and those of the image alike.
-    number = kept_numbers(plain.points, second.points)
-    assert torch.equal(last.points, number[plain.points])
+    # The last look is the result; pixels of image segments without points have no label.
+    assert torch.equal(last.points, plain.points)
     image = plain.images[4]
     of_cloud = image < plain.num_point_segments
-    assert torch.equal(last.images[4][of_cloud], number[image[of_cloud]])
+    assert torch.equal(last.images[4][of_cloud], image[of_cloud])
+    assert bool((last.images[4][~of_cloud] == -1).all())
 
 
 def test_segments_keep_their_numbers():
-    from torchjoint.viewer.live import kept_numbers
+    from torchjoint.viewer.measures import kept_numbers
 
-    before = torch.tensor([7, 7, 7, 2, 2, 4])
-    assert kept_numbers(before.unique(return_inverse=True)[1], before).tolist() == [2, 4, 7]
+    before = np.array([7, 7, 7, 2, 2, 4])
+
+    def kept(*segment):
+        return kept_numbers(np.array(segment), before, np.full(6, 9)).tolist()
+
+    assert kept(2, 2, 2, 0, 0, 1) == [2, 4, 7, 9, 9, 9]
     # 0 and 1 share two points each with 7 and 2; 2 is what 4 was; 3 is new and gets the lowest number that is free.
-    assert kept_numbers(torch.tensor([0, 0, 1, 1, 1, 2]), before).tolist() == [7, 2, 4]
-    assert kept_numbers(torch.tensor([0, 0, 3, 1, 1, 2]), before).tolist() == [7, 2, 4, 0]
+    assert kept(0, 0, 1, 1, 1, 2) == [7, 2, 4, 9, 9, 9]
+    assert kept(0, 0, 3, 1, 1, 2) == [7, 2, 4, 0, 9, 9]
+
+
+def test_colours_stay_when_another_result_is_shown():
+    labels = torch.tensor([0, 0, 0, 1, 1, 2])
+    scene = Scene(torch.rand(6, 3))
+    first = Model(Result.of(Segmentation(labels, ()), scene), Edits(3), UP)
+    second = first.of_result(Result.of(Segmentation(torch.tensor([1, 1, 1, 0, 2, 3]), ()), scene), Edits(4))
+    one, other = point_colors(first), point_colors(second)
+    assert (one == other).all(1).tolist() == [True, True, True, True, False, True]
+    assert [row.hue for row in second.rows()[0]] != [row.key for row in second.rows()[0]]
+    assert len(np.unique(other, axis=0)) == 4
 
 
 def test_looking_at_a_run_takes_a_bounded_share_of_its_time(monkeypatch):

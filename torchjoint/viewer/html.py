@@ -45,7 +45,7 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
     hidden = {name for name in ("frames", "sure") if all(getattr(row, name) is None for row in rows)}
     columns = [column for column in COLUMNS if column not in hidden]
     heads = "".join(f'<th data-sort="{name}">{name}{" ▾" if name == order else ""}</th>' for name in columns)
-    colors = (label_colors(torch.tensor([row.key for row in rows], dtype=torch.int64)) * 255).int().tolist()
+    colors = (label_colors(torch.tensor([row.hue for row in rows], dtype=torch.int64)) * 255).int().tolist()
     lines = []
     for row, color in zip(rows, colors, strict=True):
         lit = ' class="tj-lit"' if row.key in selected else ""

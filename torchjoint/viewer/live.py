@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
@@ -21,7 +20,6 @@ from torchjoint.results.loading import load_result
 from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction
-from torchjoint.runtime.groups import with_none
 from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.viewer.app import Viewer
@@ -128,9 +126,8 @@ class LiveView:
         return self.viewer
 
     def _show(self, segmenter: JointSegmenter, scene: Scene) -> None:
-        before = None if self.viewer is None else self.viewer.result.points
         self._names = self._names or tuple(frame_names(scene.frames))  # only once, because it may read frames
-        result = Result.of(labels_so_far(segmenter, scene, before, self._names), scene, segmenter.config)
+        result = Result.of(labels_so_far(segmenter, scene, self._names), scene, segmenter.config)
         self._labelled = len(segmenter.state.observations)
         if self.viewer is None:
             self.viewer = self._open(result, Shown(is_running=True))
@@ -138,27 +135,21 @@ class LiveView:
             self.viewer.replace(result)
 
 
-def labels_so_far(
-    segmenter: JointSegmenter, scene: Scene, before: Tensor | None = None, names: tuple[str, ...] = ()
-) -> Segmentation:
+def labels_so_far(segmenter: JointSegmenter, scene: Scene, names: tuple[str, ...] = ()) -> Segmentation:
     """Computes the result that a segmenter would give without further frames; images are labelled on access.
 
     Args:
         segmenter: has seen the first frames of the scene, or none; is not changed.
         scene: the whole scene; label images of the other frames are -1.
-        before: [N] the points' labels of the previous call; segments keep their numbers where possible.
         names: of all frames.
 
     Returns:
-        a result with one level. Pixels of image segments without points are -1. Labels may have gaps.
+        a result with one level. Pixels of image segments without points are -1.
     """
     with torch.no_grad(), one_thread_per_operation():
         tree = segmenter.method.segment(segmenter.graph, segmenter.state, segmenter.config)
         labels = label_points(tree, segmenter.graph)
-        number = torch.arange(int(labels.given.max()) + 1)
-        if before is not None:
-            number = kept_numbers(labels.given[labels.given >= 0], before)
-    of_own = number[labels.number]
+    of_own = labels.number
     seen, sizes = segmenter.state.observations[:], torch.bincount(labels.of_graph)  # a copy: frames may be added
 
     @lru_cache(maxsize=4)
@@ -169,34 +160,4 @@ def labels_so_far(
             own = label_image(seen[index], labels.of_graph, sizes, segmenter.config)[0].long()
         return torch.where((own >= 0) & (own < len(of_own)), of_own[own.clamp(0, len(of_own) - 1)], -1)
 
-    return Segmentation(with_none(number)[labels.given], LazySequence(len(scene.frames), image), names=names)
-
-
-def kept_numbers(labels: Tensor, before: Tensor) -> Tensor:
-    """Numbers segments so that they keep the numbers of the earlier segments that they match.
-
-    Pairs of a segment and an earlier segment are sorted by the number of common points, largest first (ties: the lower
-    segment, then the lower earlier segment). If neither is in a pair yet, the segment gets the number of the earlier
-    segment. The remaining segments get the lowest free numbers, in their order.
-
-    Args:
-        labels: [N] int64, 0 ... S - 1.
-        before: [N] int64, >= 0, of the same points.
-
-    Returns:
-        [S] int64, all different.
-
-    Example:
-        >>> kept_numbers(torch.tensor([0, 0, 1, 1, 2]), torch.tensor([5, 5, 5, 3, 3]))
-        tensor([5, 3, 0])
-    """
-    count = int(before.max()) + 1
-    pairs, shared = torch.unique(labels * count + before, return_counts=True)  # pairs ascend
-    number, taken = [-1] * (int(labels.max()) + 1), set[int]()
-    for pair in pairs[torch.argsort(shared, descending=True, stable=True)].tolist():
-        segment, earlier = divmod(pair, count)
-        if number[segment] < 0 and earlier not in taken:
-            number[segment] = earlier
-            taken.add(earlier)
-    free = (candidate for candidate in itertools.count() if candidate not in taken)
-    return torch.tensor([one if one >= 0 else next(free) for one in number])
+    return Segmentation(labels.given, LazySequence(len(scene.frames), image), names=names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +23,7 @@ class Row:
     """One segment in the table."""
 
     key: int  #: see :class:`~torchjoint.results.parts.Parts`
+    hue: int  #: number of its colour
     name: str
     points: int
     size: tuple[float, float, float]  #: metres, of its upright box
@@ -35,10 +37,13 @@ class Measures:
     Args:
         parts: pieces of the points and images.
         up: [3] upward direction, unit length.
+
+    Attributes:
+        hues: [P] the number of the colour of each segment, at its first piece.
     """
 
     def __init__(self, parts: Parts, up: npt.NDArray[np.float64]) -> None:
-        self._parts, self._up = parts, up
+        self._parts, self._up, self.hues = parts, up, parts.keys
         self._frames: list[tuple[Table, Table]] | None = None  # per frame: its pieces, and their numbers of pixels
 
     def of_table(self, table: Table) -> None:
@@ -83,6 +88,7 @@ class Measures:
             size = oriented_box(self._points[self._order[start : start + count]], self._up).size
             self._rows[segment] = Row(
                 int(self._parts.keys[segment]),
+                int(self.hues[segment]),
                 name,
                 count,
                 (float(size[0]), float(size[1]), float(size[2])),
@@ -120,3 +126,34 @@ class Measures:
     @cached_property
     def _points(self) -> npt.NDArray[np.float64]:
         return self._parts.result.scene.points.double().numpy()
+
+
+def kept_numbers(segment: Table, before: Table, number: Table) -> Table:
+    """Numbers of segments, so that they keep those of the earlier segments that they match.
+
+    Pairs of a segment and an earlier segment are sorted by the number of common points, largest first (ties: the lower
+    segment, then the lower earlier segment). If neither is in a pair yet, the segment gets the number of the earlier
+    segment. The remaining segments get the lowest free numbers, in their order.
+
+    Args:
+        segment: [N] of each point, 0 ... P - 1.
+        before: [N] the earlier number of each point, >= 0.
+        number: [P] of what is no segment of a point.
+
+    Example:
+        >>> kept_numbers(np.array([0, 0, 1, 1, 2]), np.array([5, 5, 5, 3, 3]), np.zeros(3, int)).tolist()
+        [5, 3, 0]
+    """
+    count = int(before.max()) + 1
+    pairs, shared = np.unique(segment * count + before, return_counts=True)  # ascending
+    found: dict[int, int] = {}
+    taken: set[int] = set()
+    for one, earlier in zip(*np.divmod(pairs[np.argsort(-shared, kind="stable")], count), strict=True):
+        if one not in found and earlier not in taken:
+            found[one] = earlier
+            taken.add(earlier)
+    free = (candidate for candidate in itertools.count() if candidate not in taken)
+    numbers = number.copy()
+    for one in np.unique(segment):
+        numbers[one] = found[one] if one in found else next(free)
+    return numbers

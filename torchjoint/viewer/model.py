@@ -24,7 +24,7 @@ from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
 from torchjoint.runtime.files import file_name, frame_files
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.viewer.measures import Measures, Row
+from torchjoint.viewer.measures import Measures, Row, kept_numbers
 
 
 class Click(NamedTuple):
@@ -89,7 +89,7 @@ class Model:
         self.measures.of_table(self.table)
 
     def of_result(self, result: Result, edits: Edits | None = None) -> Model:
-        """The same view of another result of the scene; the selection is kept as far as its segments are the same.
+        """The same view of another result of the scene; selection and colours are kept as far as segments are the same.
 
         Args:
             result: the other result.
@@ -105,6 +105,7 @@ class Model:
         here, there = self.table[self.parts.of_point], model.table[parts.of_point]
         same_place = [int(np.bincount(there[here == segment]).argmax()) for segment in self.selected]
         model.select(tuple(same_place))
+        model.measures.hues = kept_numbers(there, self.measures.hues[here], parts.keys)
         if model.edits.steps == self.edits.steps:
             model._before = self._before
         return model

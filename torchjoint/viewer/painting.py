@@ -29,7 +29,7 @@ def piece_colors(model: Model) -> npt.NDArray[np.float64]:
     elif model.mode == "confidence":
         colors = _confidence_colors(model)
     else:
-        colors = label_colors(torch.from_numpy(model.parts.keys[model.table]))
+        colors = label_colors(torch.from_numpy(model.measures.hues[model.table]))
     return np.asarray(colors.numpy() * 255, dtype=np.float64)
 
 
