@@ -610,7 +610,7 @@ def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
     live.viewer.stop()
 
 
-def test_the_cloud_grows_while_frames_come(browser, scene_of):
+def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
     from torchjoint.viewer.live import GrowingView
 
     frames = scene_of(3).scene.frames
@@ -643,6 +643,20 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of):
     place = dict(visible_segments(view.viewer))[segment]
     wait(lambda: is_like(color_at(page, place), color))
     assert page.locator("#tj-image").count() == 0
+    # at the end the result's folder is shown: with the photos, names, files, and the same colours
+    last = segmenter.result()
+    frames = [frame for frame in frames if frame.name in segmenter.names]
+    things = tj.Scene(last.cloud.points, frames, last.cloud.colors)
+    write_result(tmp_path, things, last.segmentation, tj.Config(), "here")
+    view.finish(tmp_path, last)
+    wait(lambda: page.locator("#tj-image").count() == 1)
+    page.get_by_role("button", name="Join").wait_for()
+    (segment,) = view.viewer.model.selected
+    assert int(last.ids[view.viewer.model.key(segment)]) == thing
+    assert np.array_equal(piece_colors(view.viewer.model)[segment], color)
+    page.locator("xpath=//*[text()='Name']/following::input[1]").fill("chair")
+    edits = tmp_path / "edits.json"
+    wait(lambda: edits.exists() and "chair" in edits.read_text())
     page.close()
     view.viewer.stop()
 

@@ -55,7 +55,8 @@ def live(
         rate: frames a second; frames for which there is no time are dropped. "None": all frames, as fast as possible.
         every: compute the things after so many frames, besides after the last one; 0: only then, with --show one time
             after the other. It takes seconds, while frames go on.
-        show: open a page in the browser in which the things appear, keep their colours, and can be clicked.
+        show: open a page in the browser in which the things appear, keep their colours, and can be clicked; at the end
+            it shows OUT, whose things can be named and exported.
         rerun: write this file, too, which the viewer of Rerun plays: things, camera, images, changes. Needs
             `pip install 'torchjoint[rerun]'`.
         voxel_size: metres, the distance of the points.
@@ -90,6 +91,7 @@ def live(
         write_result(partial, things, result.segmentation, config, str(scene), seconds=segmenter.stopwatch.seconds)
     summarize(result.segmentation, out)
     if view is not None and view.viewer is not None:
+        view.finish(out, result)
         serve_until_interrupted(view.viewer)
 
 

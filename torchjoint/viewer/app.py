@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from torchjoint.results.edits import Table
 from torchjoint.results.result import Result
 from torchjoint.results.shading import Shading
 from torchjoint.results.shared_edits import save_edits
@@ -71,7 +72,7 @@ class Viewer:
         self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
         self._relations = RelationLines(self.server)
-        self._has_frames = len(result.scene.frames) > 0
+        self._cameras: Cameras | None = None
         with self._lock:
             self._add_panel()
             self._connect_scene()
@@ -81,6 +82,10 @@ class Viewer:
     def result(self) -> Result:
         """The shown result, without corrections."""
         return self.model.result
+
+    @property
+    def _has_frames(self) -> bool:
+        return len(self.result.scene.frames) > 0
 
     @property
     def folder(self) -> Path | None:
@@ -93,18 +98,36 @@ class Viewer:
             self.model = self.model.of_result(result)
             self._draw()
 
-    def grow(self, result: Result, shading: Shading) -> None:
-        """Shows a result with another cloud; what is selected stays so, by the ids of the segments."""
+    def grow(
+        self, result: Result, shading: Shading, shown: Shown | None = None, hues: Table | None = None
+    ) -> None:
+        """Shows a result with another cloud; what is selected stays so, by the colours of the segments.
+
+        Args:
+            result: the other result.
+            shading: of its points.
+            shown: if it is the last one, for the controls that it allows.
+            hues: [S] numbers of the colours of its segments; default: their own numbers.
+        """
         with self._lock:
-            chosen = [self.model.key(segment) for segment in self.model.selected]
+            if shown is not None:
+                self._shown, self._saved = shown, shown.edits(result)
+            chosen = self.model.measures.hues[[*self.model.selected]]
             model = Model(result, self._shown.edits(result), self.model.up)
+            if hues is not None:
+                model.measures.hues = np.append(hues, model.parts.keys + hues.max() + 1)[model.parts.keys]
             model.mode, model.shading = self.model.mode, shading
-            model.select(tuple(one for one in map(model.segment_of_key, chosen) if one is not None))
+            model.select(tuple(np.unique(model.table[np.isin(model.measures.hues[model.table], chosen)]).tolist()))
             self.model = model
             self._cloud.remove()
             self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(model))
             self._cloud.resize(self._panel.size.value)
-            self._draw_lists()
+            if shown is None:
+                self._draw_lists()
+            else:
+                self._add_panel()
+        if shown is not None:
+            self._work_behind()
 
     def draw_camera(self, view: Viewpoint, share: float) -> None:
         """Draws a camera, in the place of the last one; its size is a share of the distance of the first view."""
@@ -176,17 +199,15 @@ class Viewer:
         if panel.parameters:
             panel.compute.on_click(then(self._on_parameters))
         if self._has_frames:
+            seen = self._cameras = self._cameras or Cameras(self.server, self.result.scene, 0.02 * self._distance)
+            seen.mark(frame)
             panel.frame.on_update(then(self._on_frame))
-            panel.cameras.on_update(then(lambda: self._cameras.show(panel.cameras.value)))
+            panel.cameras.on_update(then(lambda: seen.show(panel.cameras.value)))
             panel.opacity.on_update(then(self._draw_image))
             panel.stand.on_click(lambda event: self._stand_at(self._frame_index(), event.client))
         self._draw()
 
     def _connect_scene(self) -> None:
-        if self._has_frames:
-            self._cameras = Cameras(self.server, self.result.scene, 0.02 * self._distance)
-            self._cameras.mark(0)
-
         for modifier in (None, "shift"):
             self.server.scene.on_click(modifier=modifier)(
                 lambda event, more=modifier is not None: self._guarded(self._on_ray, event, more)
@@ -315,7 +336,8 @@ class Viewer:
 
     def _on_frame(self) -> None:
         self._draw_image()
-        self._cameras.mark(self._frame_index())
+        if self._cameras is not None:
+            self._cameras.mark(self._frame_index())
 
     def _on_name(self) -> None:
         if self._panel.name.value != self._selected_name():

@@ -67,6 +67,13 @@ class GrowingView:
             self.viewer.grow(result, Shading(scene.points, self.viewer.model.up))
         self.viewer.tell(note)
 
+    def finish(self, folder: Path, live: LiveResult) -> None:
+        """Shows the last result, which was written to a folder, with all controls."""
+        if self.viewer is not None:
+            result = load_result(folder, edits=False)
+            shading = Shading(result.scene.points, self.viewer.model.up)
+            self.viewer.grow(result, shading, Shown(folder), live.ids.numpy())
+
     def camera(self, frame: Frame) -> None:
         """Draws the camera where it is now."""
         if self.viewer is not None:
