@@ -9,6 +9,7 @@ import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from html import escape
 from importlib import import_module
 from pathlib import Path
@@ -160,9 +161,8 @@ def _serve(
 
     if not is_loopback(view["host"]):
         say(f"--host {view['host']}: whoever has the address below in this network sees this result, and may change it")
-    viewer = Viewer(result, Shown(folder, text_encoder=encoder), **view)
-    _open_page(viewer.url, open_browser)
-    serve_until_interrupted(viewer)
+    on_open = partial(_open_page, in_browser=open_browser)
+    serve_until_interrupted(Viewer(result, Shown(folder, text_encoder=encoder), on_open=on_open, **view))
 
 
 def _text_encoder(name: str, result: Result) -> Callable[[str], Tensor]:

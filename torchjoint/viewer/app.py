@@ -39,6 +39,7 @@ class Viewer:
         up: [3] upward direction in the world frame; None: from the poses and the largest level plane.
         host, port: of the page. With the default host only this machine can open it. If the port is in use, the next
             free one is used.
+        on_open: called with its address, as soon as it answers; the panel may come a second later.
 
     Attributes:
         url: address of the page. Who knows it can see and correct the result.
@@ -57,6 +58,7 @@ class Viewer:
         up: Tensor | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
+        on_open: Callable[[str], object] = lambda url: None,
     ) -> None:
         upward = (up_direction(result.scene) if up is None else as_direction(up, "up")).numpy()
         self._shown = shown or Shown()
@@ -70,6 +72,7 @@ class Viewer:
         self._workers: list[threading.Thread] = []
         _at_end(weakref.WeakMethod(self._end_work))
         self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
+        on_open(self.url)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
         self._relations = RelationLines(self.server)
         self._cameras: Cameras | None = None
@@ -98,9 +101,7 @@ class Viewer:
             self.model = self.model.of_result(result)
             self._draw()
 
-    def grow(
-        self, result: Result, shading: Shading, shown: Shown | None = None, hues: Table | None = None
-    ) -> None:
+    def grow(self, result: Result, shading: Shading, shown: Shown | None = None, hues: Table | None = None) -> None:
         """Shows a result with another cloud; what is selected stays so, by the colours of the segments.
 
         Args:

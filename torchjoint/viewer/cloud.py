@@ -67,15 +67,14 @@ def block_radii(points: Floats, blocks: Sequence[npt.NDArray[np.int64]]) -> Floa
 
 def blocks_of(points: Floats, most: int = BLOCK) -> list[npt.NDArray[np.int64]]:
     """Cuts a cloud at medians until each block has at most `most` points; returns the indices of each block."""
-    todo, blocks = [np.arange(len(points))], []
+    todo, blocks, columns = [np.arange(len(points))], [], np.ascontiguousarray(points.T)
     while todo:
         block = todo.pop()
         if len(block) <= most:
             blocks.append(block)
             continue
-        own = points[block]
-        half = len(block) // 2
-        order = np.argpartition(own[:, int(np.argmax(np.ptp(own, axis=0)))], half)
+        own, half = columns[:, block], len(block) // 2
+        order = np.argpartition(own[int(np.argmax(np.ptp(own, axis=1)))], half)
         todo += [block[order[half:]], block[order[:half]]]
     return blocks
 
@@ -97,8 +96,8 @@ class CloudView:
         self._parts: list[npt.NDArray[np.int64]] = []  # of each block its part of the sample, and the rest
         for block in map(generator.permutation, blocks):
             self._parts += np.split(block, [int(np.ceil(of_sample * len(block)))])
-        self._whole = block_radii(points, blocks)
-        self._sparse = block_radii(points, self._parts[::2]) if of_sample < 1 else self._whole
+        self._sparse = block_radii(points, self._parts[::2])
+        self._whole = self._sparse * of_sample**0.5  # the distances of points of a surface
         self.size = float(np.median(self._whole))
         self._centers = np.array([points[block].mean(0) for block in blocks]).reshape(-1, 3)
         self._current: set[int] = set()  # parts whose colours are up to date

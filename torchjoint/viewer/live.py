@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -30,25 +29,18 @@ from torchjoint.viewer.shown import LiveRun, Shown
 CAMERA = 0.04
 
 
-def _opened(on_open: Callable[[str], object], *arguments: Any, **options: Any) -> Viewer:
-    """A new page, whose address is told."""
-    viewer = Viewer(*arguments, **options)
-    on_open(viewer.url)
-    return viewer
-
-
 class GrowingView:
     """A page that opens with the first result of a :class:`~torchjoint.LiveSegmenter`.
 
     Args:
-        on_open: called with the page's address when the page is ready.
+        on_open: see :class:`~torchjoint.viewer.app.Viewer`.
         host, port: see :class:`~torchjoint.viewer.app.Viewer`.
     """
 
     def __init__(self, on_open: Callable[[str], object] = print, *, host: str = "127.0.0.1", port: int = 8080) -> None:
         import_viser()
         self.viewer: Viewer | None = None
-        self._open = partial(_opened, on_open, host=host, port=port)
+        self._open = partial(Viewer, on_open=on_open, host=host, port=port)
 
     def show(self, live: LiveResult, frames: Sequence[Frame], note: str = "") -> None:
         """Shows another result.
@@ -90,7 +82,7 @@ class LiveView:
     It does not change the segmenter, so the result and the checkpoint are the same as without it.
 
     Args:
-        on_open: called with the page's address when the page is ready.
+        on_open: see :class:`~torchjoint.viewer.app.Viewer`.
         share: largest share of the run's time for the view.
         host, port: see :class:`~torchjoint.viewer.app.Viewer`.
     """
@@ -105,7 +97,7 @@ class LiveView:
     ) -> None:
         import_viser()  # so that an error comes at once, not after an hour of fusing a cloud
         self.viewer: Viewer | None = None
-        self._share, self._open = share, partial(_opened, on_open, host=host, port=port)
+        self._share, self._open = share, partial(Viewer, on_open=on_open, host=host, port=port)
         self._next, self._labelled = 0.0, 0
         self._names: tuple[str, ...] = ()
 
