@@ -1,5 +1,9 @@
 """VGGT's predictions: lengths in metres, depth of little confidence, names, and errors."""
 
+import importlib.util
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import samples
@@ -51,3 +55,35 @@ def test_frames_have_the_names_of_the_images(tmp_path):
 def test_errors(tmp_path, arrays, message):
     with pytest.raises(ValueError, match=message):
         list(tj.load_scene(changed(samples.write("vggt", tmp_path / "a"), **arrays)).frames)
+
+
+@pytest.mark.parametrize("network", ["dust3r", "mast3r"])
+def test_the_example_writes_it_from_the_scenes_of_other_networks(tmp_path, network):
+    path = samples.write("vggt", tmp_path / "a")
+    expected, file = tj.load_scene(path), path / "predictions.npz"
+    with np.load(file) as stored:
+        arrays = {name: torch.from_numpy(values) for name, values in stored.items()}
+    world_to_camera = torch.eye(4).repeat(len(arrays["depth"]), 1, 1)
+    world_to_camera[:, :3] = arrays["extrinsic"]
+    depth, sure = [*arrays["depth"][..., 0]], [*arrays["depth_conf"]]
+    scene = SimpleNamespace(
+        imgs=[*arrays["images"].permute(0, 2, 3, 1).numpy()],
+        get_focals=lambda: torch.nn.Parameter(arrays["intrinsic"][:, :1, 0]),
+        get_principal_points=lambda: arrays["intrinsic"][:, :2, 2],
+        get_im_poses=lambda: world_to_camera.inverse(),
+    )
+    if network == "dust3r":
+        scene.get_depthmaps, scene.im_conf = lambda: depth, sure
+    else:
+        scene.get_dense_pts3d = lambda: (None, [one.flatten() for one in depth], sure)
+    file.unlink()
+    example = Path(__file__).parents[3] / "examples" / "dust3r.py"
+    spec = importlib.util.spec_from_file_location("example", example)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.save(scene, file)
+    found = tj.load_scene(path)
+    torch.testing.assert_close(found.points, expected.points, atol=1e-5, rtol=0)
+    for one, other in zip(found.frames, expected.frames, strict=True):
+        torch.testing.assert_close(one.world_to_camera, other.world_to_camera, atol=1e-5, rtol=0)
+        assert torch.equal(one.image, other.image)
