@@ -40,9 +40,7 @@ PUBLIC = {
         nearest_neighbors neighbor_edges project propagate_labels region_dendrogram splat_depth ultrametric_contours
     """,
     "torchjoint.metrics": """
-        AchievableSegmentationAccuracyMetric AveragePrecision AveragePrecisionObjectsMetric
-        AveragePrecisionPartsMetric BoundaryRecallMetric MeanBestIoUMetric ObjectsAndParts ObjectsAndPartsMetric
-        ScannetAveragePrecisionMetric SegmentationCovering SegmentationCoveringMetric UndersegmentationErrorMetric
+        AveragePrecision ObjectsAndParts ScannetAveragePrecisionMetric SegmentationCovering
         achievable_segmentation_accuracy average_precision_objects average_precision_parts boundary_recall
         mean_best_iou objects_and_parts scannet_average_precision segmentation_covering undersegmentation_error
     """,

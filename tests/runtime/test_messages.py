@@ -20,7 +20,7 @@ from torchjoint.runtime.messages import needed_for
 #: What each missing module stops, and the extra that brings it.
 MISSING = {
     "open3d": (lambda path, result: load_parts(path, None, None), "Open3D", "open3d"),
-    "torchmetrics": (lambda path, result: tj.metrics.ObjectsAndPartsMetric, "torchmetrics", "metrics"),
+    "torchmetrics": (lambda path, result: tj.metrics.ScannetAveragePrecisionMetric, "torchmetrics", "metrics"),
     "plotly": (lambda path, result: write_page(path, result), "plotly", "viewer"),
     "laspy": (lambda path, result: export_las(path, result), "laspy", "export"),
     "rerun": (lambda path, result: RerunLog(None), "rerun", "rerun"),

@@ -1,4 +1,4 @@
-"""Metrics of class-agnostic segmentation: functions of label tensors, and classes that accumulate over scenes.
+"""Metrics of class-agnostic segmentation: functions of label tensors.
 
 All metrics are computed from one table: the number of points that each predicted region shares with each true region.
 
@@ -8,13 +8,12 @@ background region. The ids of regions have no effect. ``target`` may be a sequen
 same data, for example of several annotators. (ScanNet's average precision, a metric of masks, has its own rules for
 void, unlabelled points, and several ground truths.)
 
-The value of a data set, also F, is the mean of the values of its samples (except for ScanNet's average precision). The
-classes compute this mean: ``FooMetric`` for ``foo``, on torchmetrics, which is imported when a class is first used.
+The value of a data set, also F, is the mean of the values of its samples, for example by `torchmetrics.MeanMetric`.
+Only ScanNet's average precision is not: :class:`ScannetAveragePrecisionMetric` accumulates it, on torchmetrics, which
+is imported when the class is first used.
 
 >>> import torch, torchjoint as tj
->>> metric = tj.metrics.ObjectsAndPartsMetric()
->>> metric.update(torch.tensor([0, 0, 1, 1]), torch.tensor([0, 0, 0, 0]))
->>> metric.compute().recall
+>>> tj.metrics.objects_and_parts(torch.tensor([0, 0, 1, 1]), torch.tensor([0, 0, 0, 0])).recall
 1.0
 """
 
@@ -32,31 +31,13 @@ from torchjoint.metrics.superpoints import achievable_segmentation_accuracy, bou
 from torchjoint.runtime.messages import needed_for
 
 if TYPE_CHECKING:
-    from torchjoint.metrics.modules import (
-        AchievableSegmentationAccuracyMetric,
-        AveragePrecisionObjectsMetric,
-        AveragePrecisionPartsMetric,
-        BoundaryRecallMetric,
-        MeanBestIoUMetric,
-        ObjectsAndPartsMetric,
-        ScannetAveragePrecisionMetric,
-        SegmentationCoveringMetric,
-        UndersegmentationErrorMetric,
-    )
+    from torchjoint.metrics.modules import ScannetAveragePrecisionMetric
 
 __all__ = [
-    "AchievableSegmentationAccuracyMetric",
     "AveragePrecision",
-    "AveragePrecisionObjectsMetric",
-    "AveragePrecisionPartsMetric",
-    "BoundaryRecallMetric",
-    "MeanBestIoUMetric",
     "ObjectsAndParts",
-    "ObjectsAndPartsMetric",
     "ScannetAveragePrecisionMetric",
     "SegmentationCovering",
-    "SegmentationCoveringMetric",
-    "UndersegmentationErrorMetric",
     "achievable_segmentation_accuracy",
     "average_precision_objects",
     "average_precision_parts",
@@ -70,12 +51,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> type:
-    if name in __all__:  # a class; the functions are already imported
+    if name == "ScannetAveragePrecisionMetric":
         with needed_for(f"tj.metrics.{name}", "torchmetrics", "torchjoint[metrics]"):
-            from torchjoint.metrics import modules
-
-        metric: type = getattr(modules, name)
-        return metric
+            from torchjoint.metrics.modules import ScannetAveragePrecisionMetric
+        return ScannetAveragePrecisionMetric
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -80,17 +80,12 @@ def boundary_recall(
     0.5
     """
     pred, targets = checked_pair(pred, target)
-    check_tolerance(tolerance)
+    if not (isinstance(tolerance, int) and tolerance >= 0):
+        raise ValueError(f"tolerance: expected a number of edges >= 0, got {tolerance}")
     source, sink = _checked_edges(edge_index, len(pred))
     pred_source, pred_sink = _labels_at(pred, source, sink)
     crossing = pred_source != pred_sink
     return fmean([_recall(crossing, one, source, sink, tolerance) for one in targets])
-
-
-def check_tolerance(tolerance: int) -> None:
-    """Raises ValueError if `tolerance` is not an integer >= 0."""
-    if not (isinstance(tolerance, int) and tolerance >= 0):
-        raise ValueError(f"tolerance: expected a number of edges >= 0, got {tolerance}")
 
 
 def _recall(crossing: Tensor, target: Tensor, source: Tensor, sink: Tensor, tolerance: int) -> float:
