@@ -27,7 +27,8 @@ def main() -> None:
         start = time.perf_counter()
         write_result(Path(out), scene, result, tj.Config(), str(arguments.folder))
         written = time.perf_counter() - start
-    seconds = {**result.seconds, "whole, wall clock": total, "whole, processor time": work, "files, wall clock": written}
+    of_all = {"whole, wall clock": total, "whole, processor time": work, "files, wall clock": written}
+    seconds = result.seconds | of_all
     rows = [[stage, taken, taken / frames * 1000] for stage, taken in seconds.items()]
     size = "x".join(map(str, reversed(scene.frames[0].size)))
     about = (
