@@ -196,6 +196,7 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
         width = BUFFER_SPACINGS * found.spacing() if buffer is None else buffer
         if tile is not None and buffer is None:
             width = min(width, tile / NARROWEST)
+        width = min(width, 2 * found.side * max(found.counts.shape))  # more is the same
         plan = plan_tiles(found, tile, width, MOST_POINTS)
         _check_disk(work, found.num_points, found.whites is not None)
         with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=_hidden(progress)) as bar:
