@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from fnmatch import fnmatch
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -67,6 +68,16 @@ def parts_of(result: Path) -> list[Path]:
     source = read_origin(result).scene
     own = [path for part in PARTS for path in result.glob(part)]
     return [*own, Path(source)] if os.path.isfile(source) else own
+
+
+def is_part(path: Path) -> bool:
+    """Whether a path is that of a part of a result, also of one that is not there, or is in one."""
+    real = path.parent.resolve() / path.name.lower()
+    return any(
+        (one.parent / "run.yaml").is_file() and (one.parent / "points.npz").is_file()
+        for one in (real, *real.parents)
+        if any(fnmatch(one.name, part) for part in PARTS)
+    )
 
 
 class PointResult(NamedTuple):
