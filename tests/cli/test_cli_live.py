@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 import samples
 import torch
@@ -48,6 +50,15 @@ def test_nothing_is_fused_before_it_plays(recording, tmp_path, run, monkeypatch)
     monkeypatch.setattr("torchjoint.datasets.recording.fuse_or_recall", lambda *_: pytest.fail("fused while loading"))
     run("live", recording, "-o", tmp_path / "out", "--rate", "None", "--voxel-size", "0.05")
     assert len(tj.load_result(tmp_path / "out").scene.points) > 1000
+
+
+def test_a_recording_that_changes_while_it_plays(recording, tmp_path, run, monkeypatch):
+    """Its pictures in the result are read at the end, and may be others than those that were segmented."""
+    changing, update = shutil.copytree(recording, tmp_path / "recording"), tj.LiveSegmenter.update
+    first, *_, last = sorted(changing.glob("*.color.png"))
+    monkeypatch.setattr(tj.LiveSegmenter, "update", lambda *given: (shutil.copy(last, first), update(*given)))
+    with pytest.warns(UserWarning, match="recording: changed while it was segmented; the result may be of both states"):
+        run("live", changing, "-o", tmp_path / "out", "--rate", "None", "--voxel-size", "0.05")
 
 
 def test_a_cloud_alone_is_no_recording(tmp_path, run):
