@@ -169,7 +169,7 @@ class Viewer:
         panel.export.on_click(lambda event: self._guarded(self._on_export, event.client))
         panel.save.on_click(then(self._on_save))
         panel.view.on_click(lambda event: self._guarded(self._on_view, event.client))
-        panel.size.on_update(lambda _: self._cloud.resize(panel.size.value))
+        panel.size.on_update(then(lambda: self._cloud.resize(panel.size.value)))
         panel.front.on_update(then(self._cut_front))
         if panel.level is not None:
             panel.level.on_update(changes(lambda: self.model.set_granularity(panel.level.value)))
@@ -179,7 +179,7 @@ class Viewer:
             panel.frame.on_update(then(self._on_frame))
             panel.cameras.on_update(then(lambda: self._cameras.show(panel.cameras.value)))
             panel.opacity.on_update(then(self._draw_image))
-            panel.stand.on_click(lambda event: self._stand_at(self._frame_index(), event.client))
+            panel.stand.on_click(lambda event: self._guarded(self._stand_at, self._frame_index(), event.client))
         self._draw()
 
     def _connect_scene(self) -> None:
@@ -263,7 +263,7 @@ class Viewer:
             self._show_all(client)
         self._cloud.look_from(client.camera.position)
         if abs(self._standing.get(client.client_id, client.camera.wxyz) @ client.camera.wxyz) < 0.9999:
-            del self._standing[client.client_id]
+            self._standing.pop(client.client_id, None)  # no orientation at all is like no other
             client.scene.set_background_image(None)
             self._cloud.resize(self._panel.size.value)
 
