@@ -41,6 +41,13 @@ def test_what_nobody_edited_changes_nothing():
     assert changes_of(parts_of(PIECES, STORED), [0] * 8) == ((), 0)  # all objects were deleted
 
 
+@pytest.mark.parametrize("name", ["thing", " a chair "])
+def test_a_name_that_files_hold_in_another_way_is_not_edited(name):
+    parts, told = parts_of(PIECES, STORED), "" if name == "thing" else name.strip()
+    before = Edits(parts.count, steps=(Edit("name", (0,), name),))
+    assert changes_of(parts, [7, 7, 7, 7, 3, 3, 3, 3], {7: told}, before) == ((), 0)
+
+
 def test_pieces_go_to_the_object_of_most_of_their_points():
     parts = parts_of(PIECES, STORED)
     assert changes_of(parts, [7, 7, 3, 3, 3, 3, 3, 3])[0] == (Edit("gather", (1, 2, 3)),)
