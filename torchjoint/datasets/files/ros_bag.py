@@ -15,6 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
+from itertools import accumulate
 from pathlib import Path
 from threading import Lock
 from types import SimpleNamespace
@@ -119,6 +120,7 @@ def _open(path: Path) -> Any:
         from rosbags.typesys import Stores, get_typestore
     bound_unpacking(_check_files(path))
     check_databases()
+    check_chunks()
     bound_definitions()
     # Recordings of ROS 2 before Iron do not contain the definitions of their messages.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
@@ -189,6 +191,24 @@ def check_databases() -> None:
         open_database(reader)
 
     Sqlite3Reader.open = opened
+
+
+def check_chunks() -> None:
+    """Makes rosbags look at the chunks of an MCAP file's index that it holds at a time, unpacked: those of one time."""
+    from rosbags.rosbag2.storage_mcap import McapReader
+
+    read = McapReader.read_index
+    if read.__module__ == __name__:
+        return
+
+    def checked(reader: Any) -> None:
+        read(reader)
+        begin = [(one.message_start_time, one.uncompressed_size) for one in reader.chunks]
+        end = [(max(one.message_start_time, one.message_end_time) + 1, -one.uncompressed_size) for one in reader.chunks]
+        held = accumulate(size for _, size in sorted(begin + end))
+        bounds.check_unpacked(max(held, default=0), reader.path.stat().st_size)
+
+    McapReader.read_index = checked
 
 
 def _check_files(path: Path) -> int:
