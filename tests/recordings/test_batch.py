@@ -194,6 +194,10 @@ class TestScenes:
         assert list(find_recordings(["a.ply", "a.las"])) == ["a.ply", "a.las"]
         assert find_recordings(["a.ply", tmp_path / "a.ply"]) == {"a": tmp_path / "a.ply"}
         assert len({name.casefold() for name in find_recordings(["Room", "room"])}) == 2
+        for name in ("x-y/z.ply", "x/y-z.ply"):
+            Path(name).parent.mkdir()
+            Path(name).touch()
+        assert len(find_recordings(["x-y/z.ply", "x/y-z.ply"])) == 2
 
     def test_a_folder_whose_name_looks_like_a_pattern(self, scans, tmp_path):
         (tmp_path / "[2024] x").mkdir()

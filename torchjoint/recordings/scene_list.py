@@ -85,12 +85,10 @@ def _scenes(path: Path) -> list[Path]:
 def _is_scene(path: Path) -> bool:
     if path.suffix.lower() in LISTS or all(os.path.isfile(path / name) for name in (RECORD, SUMMARY)):
         return False  # a list, or the results of a batch
-    if has_folder(path):
-        return True
     try:
         list_scenes(path)
     except (ValueError, OSError):
-        return False
+        return has_folder(path)
     return True
 
 
@@ -100,9 +98,9 @@ def _named(paths: list[Path]) -> dict[str, Path]:
         names = [_folder_name("-".join(_parts(path, has_suffix)[-depth:])) for path in paths]
         if len(set(names)) == len(names):
             break
-    folded = Counter(map(str.casefold, names))  # some disks take them for one
-    own = [name if folded[name.casefold()] == 1 else file_name(name, is_free=False) for name in names]
-    return dict(zip(own, paths, strict=True))
+    same = Counter(map(str.casefold, names))  # some disks take them for one
+    named = zip(names, paths, strict=True)
+    return {one if same[one.casefold()] == 1 else file_name(f"{one}/{path.absolute()}"): path for one, path in named}
 
 
 def _folder_name(name: str) -> str:
