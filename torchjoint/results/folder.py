@@ -40,7 +40,7 @@ from torchjoint.results.objects import write_segments
 from torchjoint.results.render import label_colors
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
-from torchjoint.runtime.foreign_files import damage_is, has_file, present
+from torchjoint.runtime.foreign_files import damage_is, has_file, no_twice, present
 from torchjoint.runtime.store import pack
 from torchjoint.runtime.threads import LazySequence, on_cpu, parallel_map
 from torchjoint.scene import Cloud, LabelImages, Scene, Segmentation
@@ -250,9 +250,7 @@ def _run_file(folder: Path) -> Path:
 def _write_label_images(folder: Path, result: Segmentation) -> int:
     """Writes the label images; returns the largest label, or -1."""
     names = frame_files(result.names)
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"frames: expected different names, got {twice!r} twice")
+    no_twice(names, "frames: name")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
 
