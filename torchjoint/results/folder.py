@@ -73,11 +73,8 @@ def parts_of(result: Path) -> list[Path]:
 def is_part(path: Path) -> bool:
     """Whether a path is that of a part of a result, also of one that is not there, or is in one."""
     real = path.parent.resolve() / path.name.lower()
-    return any(
-        (one.parent / "run.yaml").is_file() and (one.parent / "points.npz").is_file()
-        for one in (real, *real.parents)
-        if any(fnmatch(one.name, part) for part in PARTS)
-    )
+    named = (one.parent for one in (real, *real.parents) if any(fnmatch(one.name, part) for part in PARTS))
+    return any((folder / "run.yaml").is_file() and (folder / "points.npz").is_file() for folder in named)
 
 
 class PointResult(NamedTuple):

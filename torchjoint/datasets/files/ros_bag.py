@@ -120,13 +120,14 @@ def _open(path: Path) -> Any:
         from rosbags.typesys import Stores, get_typestore
     bound_unpacking(_check_files(path))
     check_databases()
-    check_chunks()
     bound_definitions()
     # Recordings of ROS 2 before Iron do not contain the definitions of their messages.
     reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
     reader.open()
     try:
         _check_arrays(reader.typestore.fielddefs)
+        if reader.is2:
+            _check_chunks(reader.readers[0].storage)
     except ValueError:
         reader.close()
         raise
@@ -144,6 +145,17 @@ def _check_arrays(types: Mapping[str, Any]) -> None:
     bounds.check(lines, bounds.PROPERTIES, "texts and messages in all arrays of fixed lengths")
     if any(length < 1 for _, length in arrays):
         raise ValueError("expected arrays of at least one element")
+
+
+def _check_chunks(storage: Any) -> None:
+    """Checks what rosbags holds at a time, unpacked: the chunks of one time in the index of an MCAP file."""
+    from rosbags.rosbag2.storage_mcap import McapReader
+
+    for file in (one for one in getattr(storage, "storages", (storage,)) if isinstance(one, McapReader)):
+        begin = [(one.message_start_time, one.uncompressed_size) for one in file.chunks]
+        end = [(max(one.message_start_time, one.message_end_time) + 1, -one.uncompressed_size) for one in file.chunks]
+        held = accumulate(size for _, size in sorted(begin + end))
+        bounds.check_unpacked(max(held, default=0), file.path.stat().st_size)
 
 
 def bound_definitions() -> None:
@@ -191,24 +203,6 @@ def check_databases() -> None:
         open_database(reader)
 
     Sqlite3Reader.open = opened
-
-
-def check_chunks() -> None:
-    """Makes rosbags look at the chunks of an MCAP file's index that it holds at a time, unpacked: those of one time."""
-    from rosbags.rosbag2.storage_mcap import McapReader
-
-    read = McapReader.read_index
-    if read.__module__ == __name__:
-        return
-
-    def checked(reader: Any) -> None:
-        read(reader)
-        begin = [(one.message_start_time, one.uncompressed_size) for one in reader.chunks]
-        end = [(max(one.message_start_time, one.message_end_time) + 1, -one.uncompressed_size) for one in reader.chunks]
-        held = accumulate(size for _, size in sorted(begin + end))
-        bounds.check_unpacked(max(held, default=0), reader.path.stat().st_size)
-
-    McapReader.read_index = checked
 
 
 def _check_files(path: Path) -> int:
