@@ -55,7 +55,7 @@ def _expanded(scene: str | Path, folder: Path = Path(), lists: tuple[Path, ...] 
     if not or_unreadable(is_there, path) and glob.has_magic(str(scene)):
         pattern = str(Path(glob.escape(str(folder))) / scene)
         matches = [Path(match) for match in sorted(glob.glob(pattern, recursive=True))]
-        recordings = [found for match in matches if or_unreadable(_is_scene, match) for found in _scenes(match)]
+        recordings = [found for match in matches if not _is_other(match) for found in _scenes(match, True)]
         if not recordings:
             raise ValueError(f"scenes: {scene} matches no recording")
         return recordings
@@ -74,22 +74,17 @@ def _lines(path: Path) -> list[str]:
     return [line for line in lines if line and not line.startswith("#")]
 
 
-def _scenes(path: Path) -> list[Path]:
-    """The scenes of a data set; any other path is returned itself."""
+def _scenes(path: Path, is_match: bool = False) -> list[Path]:
+    """The scenes of a data set; any other path is returned itself, unless it is a file that matches a pattern."""
     try:
         return list(list_scenes(path).values())
     except (ValueError, OSError):
-        return [path]
+        return [] if is_match and not or_unreadable(has_folder, path) else [path]
 
 
-def _is_scene(path: Path) -> bool:
-    if path.suffix.lower() in LISTS or all(os.path.isfile(path / name) for name in (RECORD, SUMMARY)):
-        return False  # a list, or the results of a batch
-    try:
-        list_scenes(path)
-    except (ValueError, OSError):
-        return has_folder(path)
-    return True
+def _is_other(path: Path) -> bool:
+    """Whether what matches a pattern is a list, or has the results of a batch."""
+    return path.suffix.lower() in LISTS or all(os.path.isfile(path / name) for name in (RECORD, SUMMARY))
 
 
 def _named(paths: list[Path]) -> dict[str, Path]:

@@ -186,11 +186,10 @@ def fingerprints(path: Path, masks: Path | None, out: Path) -> tuple[str, str]:
 
 def tell_if_changed(path: Path, masks: Path | None, out: Path, before: tuple[str, str]) -> None:
     """Warns if a recording or its masks are not what they were before its run."""
-    is_same = False
     with suppress(FileNotFoundError):
-        is_same = fingerprints(path, masks, out) == before
-    if not is_same:
-        warnings.warn(f"{path}: changed while it was segmented; the result may be of both states", stacklevel=3)
+        if fingerprints(path, masks, out) == before:
+            return
+    warnings.warn(f"{path}: changed while it was segmented; the result may be of both states", stacklevel=3)
 
 
 def run(

@@ -14,20 +14,18 @@ from scipy.sparse import csr_array
 
 from torchjoint.datasets.files.text import read_record
 from torchjoint.results.boxes import UNNAMED, Box, boxes_of
-from torchjoint.results.edits import FILE, Edit, Edits, read_edits, write_edits
+from torchjoint.results.edits import FILE, Edit, Edits, Table, read_edits, write_edits
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import dict_of
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.outputs import lock
 
-Array = npt.NDArray[np.int64]
-
 
 class PointLabels(NamedTuple):
     """Objects of Segments.ai, by their ids."""
 
-    of_point: Array  #: [N] the object of each point; 0: none
+    of_point: Table  #: [N] the object of each point; 0: none
     names: Mapping[int, str]  #: of the objects whose attribute `name` is in the file
 
 
@@ -93,7 +91,7 @@ def edits_of_points(parts: Parts, before: Edits, labels: PointLabels) -> tuple[t
     return (*gathered, *named), lost
 
 
-def _most(group: Array, ids: Array, count: int) -> Array:
+def _most(group: Table, ids: Table, count: int) -> Table:
     """[count] the id that most members of a group have, the lowest of several; 0: the group has no members."""
     numbers, of_member = np.unique(ids, return_inverse=True)
     pairs, sizes = np.unique(group * len(numbers) + of_member, return_counts=True)
@@ -137,7 +135,7 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.i
     inside = _members(boxes, points)
     segment_of = _matches(inside, _members([*own.values()], points), [*own])
     first = {segment: int(piece[labels == segment].min()) for segment in own}
-    steps, joined = [], 0
+    steps: list[Edit] = []
     by_size = sorted(segment_of, key=lambda number: (np.prod(boxes[number].size), number))
     for segment in sorted(own.keys() - set(segment_of.values())):
         of_segment = np.flatnonzero(labels == segment)
@@ -145,14 +143,13 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.i
         holder = next((number for number in by_size if shares[number] > INSIDE), None)
         if holder is not None:
             steps.append(Edit("join", (first[segment_of[holder]], first[segment])))
-            joined += 1
-    named = 0
+    joined = len(steps)
     for number, segment in sorted(segment_of.items()):
         name = _told(boxes[number].name)
         if boxes[number].name and _words(name) != _words(_told(result.segment_names.get(segment, ""))):
             steps.append(Edit("name", (first[segment],), name))
-            named += 1
-    return BoxEdits(tuple(steps), joined, named, tuple(n for n in range(len(boxes)) if n not in segment_of))
+    empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
+    return BoxEdits(tuple(steps), joined, len(steps) - joined, empty)
 
 
 def _members(boxes: Sequence[Box], points: npt.NDArray[np.float64]) -> csr_array:
