@@ -169,8 +169,9 @@ class Edits:
             elif step.kind == "split":
                 table = split(table, step.pieces, hierarchy)
             elif step.kind == "gather":
+                inside = np.flatnonzero(np.isin(table, table[list(step.pieces)]))  # others stay as they are
                 table[list(step.pieces)] = len(table)
-                table = first_pieces(table)
+                table[inside] = inside[first_pieces(table[inside])]
         return table
 
 
