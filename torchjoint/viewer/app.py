@@ -318,11 +318,12 @@ class Viewer:
         self._cameras.mark(self._frame_index())
 
     def _on_name(self) -> None:
-        if self._panel.name.value != self._selected_name():
+        if (name := self._panel.name.value) != self._selected_name():
             try:
-                self.model.name(self._panel.name.value)
-            finally:
+                self.model.name(name)
+            except ValueError:  # otherwise the field stays: the user may have typed on
                 self._panel.name.value = self._selected_name()
+                raise
             self._draw_lists()
 
     def _selected_name(self) -> str:
