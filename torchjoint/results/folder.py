@@ -141,16 +141,8 @@ def write_result(
 
 def _remove_earlier(folder: Path) -> None:
     """Deletes the files of an interrupted run: with other parameters it may have written other files."""
-    for name in (
-        "points.ply",
-        "points.npz",
-        HIERARCHY,
-        CAMERAS,
-        "overview.png",
-        "run.yaml",
-        MANIFEST,
-        "embeddings.npz",
-    ):
+    files = "points.ply", "points.npz", HIERARCHY, CAMERAS, "overview.png", "run.yaml", MANIFEST, "embeddings.npz"
+    for name in files:
         (folder / name).unlink(missing_ok=True)
     for name in ("images", PIECES):
         shutil.rmtree(folder / name, ignore_errors=True)
@@ -240,8 +232,7 @@ def read_record(folder: Path) -> tuple[dict[str, int], dict[str, float]]:
 
 
 def _run_file(folder: Path) -> Path:
-    file = folder / "run.yaml"
-    return present(file, "a folder that `torchjoint segment` wrote")
+    return present(folder / "run.yaml", "a folder that `torchjoint segment` wrote")
 
 
 def _write_label_images(folder: Path, result: Segmentation) -> int:

@@ -299,10 +299,7 @@ class Viewer:
         self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
 
     def _on_view(self, client: Any) -> None:
-        if self._panel.view.value != RESET:
-            self._select(())
-            return
-        self._show_all(client)
+        self._show_all(client) if self._panel.view.value == RESET else self._select(())
 
     def _show_all(self, client: Any) -> None:
         """Shows the whole cloud, as large as the canvas allows."""
