@@ -124,6 +124,18 @@ def test_a_page_may_lie_in_its_result(run, result):
     tj.load_result(result)
 
 
+@pytest.mark.parametrize(
+    "name", ["edits.json", "EDITS.json", "masks.json", "cloud-5mm.ply", "images/x.png", "pieces/a"]
+)
+def test_what_is_new_takes_no_name_of_a_part_of_a_result(run, result, name):
+    """It would be read as the part: with other edits.json, a result cannot be opened any more."""
+    before = contents(result)
+    for command in (("show", result, "--static"), ("export", result, "--format", "coco", "-o")):
+        with pytest.raises(SystemExit, match=r"(-o|--static): expected a path outside of the parts of a result"):
+            run(*command, result / name)
+    assert contents(result) == before
+
+
 def test_parts_are_all_that_a_result_has(result, tmp_path):
     assert set(parts_of(result)) == set(result.iterdir())
     assert parts_of(result / "points.ply") == [result / "points.ply"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 import samples
 import torch
@@ -50,6 +52,15 @@ def test_nothing_is_fused_before_it_plays(recording, tmp_path, run, monkeypatch)
     assert len(tj.load_result(tmp_path / "out").scene.points) > 1000
 
 
+def test_a_recording_that_changes_while_it_plays(recording, tmp_path, run, monkeypatch):
+    """Its pictures in the result are read at the end, and may be others than those that were segmented."""
+    changing, update = shutil.copytree(recording, tmp_path / "recording"), tj.LiveSegmenter.update
+    first, *_, last = sorted(changing.glob("*.color.png"))
+    monkeypatch.setattr(tj.LiveSegmenter, "update", lambda *given: (shutil.copy(last, first), update(*given)))
+    with pytest.warns(UserWarning, match="recording: changed while it was segmented; the result may be of both states"):
+        run("live", changing, "-o", tmp_path / "out", "--rate", "None", "--voxel-size", "0.05")
+
+
 def test_a_cloud_alone_is_no_recording(tmp_path, run):
     with pytest.raises(SystemExit, match=r"cloud\.ply: expected frames with depth, got a cloud without frames"):
         run("live", samples.write("cloud_alone", tmp_path / "sample"), "-o", tmp_path / "out")
@@ -87,6 +98,10 @@ def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys)
         def show(self, result, frames, note):
             shown.append((len(frames), len(result.labels) == len(result.cloud.points), note))
 
+        def finish(self, folder, result):
+            assert len(tj.load_result(folder).points) == len(result.labels)
+            served.append(folder)
+
     monkeypatch.setattr("torchjoint.cli.live.growing_view", lambda now: Page() if now else None)
     monkeypatch.setattr("torchjoint.cli.live.serve_until_interrupted", served.append)
     options = ("--rate", "None", "--voxel-size", "0.05", "--show")
@@ -99,7 +114,7 @@ def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys)
     assert results[0][2].startswith(f"after {results[0][0]} frames: ")
     assert results[-1][0] == len(names)
     assert results[-1][2].startswith("at the end: ")
-    assert served == ["viewer"]
+    assert served == [tmp_path / "out", "viewer"]
     assert "after 1 frames: " in capsys.readouterr().out
 
 

@@ -161,7 +161,7 @@ def test_bad_poses(folder, text, message):
 
 def test_two_images_of_one_frame(folder):
     shutil.copy(folder / "frame-000010.color.png", folder / "frame-000010.color.jpg")
-    with pytest.raises(ValueError, match="frame 'frame-000010' has two colour images"):
+    with pytest.raises(ValueError, match="the colour image of frame 'frame-000010' is there twice"):
         tj.load_scene(folder)
 
 

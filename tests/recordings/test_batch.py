@@ -2,10 +2,12 @@
 
 import csv
 import importlib
+import io
 import shutil
 import sys
 from concurrent.futures import Executor, Future
 from contextlib import nullcontext
+from pathlib import Path
 
 import joblib
 import pytest
@@ -184,6 +186,43 @@ class TestScenes:
         with pytest.raises(ValueError, match="at least one recording"):
             find_recordings([])
 
+    def test_names_that_are_nearly_the_same(self, tmp_path, monkeypatch):
+        """Two files of one name, two names that a disk takes for one, and one recording by two paths."""
+        monkeypatch.chdir(tmp_path)
+        for name in ("a.ply", "a.las", "Room", "room"):
+            Path(name).touch()
+        assert list(find_recordings(["a.ply", "a.las"])) == ["a.ply", "a.las"]
+        assert find_recordings(["a.ply", tmp_path / "a.ply"]) == {"a": tmp_path / "a.ply"}
+        assert len({name.casefold() for name in find_recordings(["Room", "room"])}) == 2
+        for name in ("x-y/z.ply", "x/y-z.ply"):
+            Path(name).parent.mkdir()
+            Path(name).touch()
+        assert len(find_recordings(["x-y/z.ply", "x/y-z.ply"])) == 2
+
+    def test_a_folder_whose_name_looks_like_a_pattern(self, scans, tmp_path):
+        (tmp_path / "[2024] x").mkdir()
+        (tmp_path / "[2024] x" / "kitchen").symlink_to(scans / "a")
+        (tmp_path / "[2024] x" / "list.txt").write_text("k*\n")
+        assert list(find_recordings(tmp_path / "[2024] x" / "list.txt")) == ["kitchen"]
+
+    def test_the_results_among_the_recordings_are_none(self, scans, tmp_path):
+        (tmp_path / "a").symlink_to(scans / "a")
+        for _ in range(2):
+            report = tj.batch(f"{tmp_path}/*", tmp_path / "out", engine=HereExecutor(), config=QUICK)
+            assert (list(report.reports), report.failures) == (["a"], {})
+
+    def test_a_lost_one_hides_no_other(self, scans, tmp_path):
+        (tmp_path / "a").symlink_to(scans / "a")
+        for lost in ("b", "c.txt"):
+            (tmp_path / lost).symlink_to("nowhere")
+        assert list(find_recordings(f"{tmp_path}/*")) == ["a", "b"]
+        assert list(find_recordings([*sorted(tmp_path.iterdir())])) == ["a", "b", "c.txt"]
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "a").symlink_to("nowhere")
+        report = tj.batch([tmp_path / "a", tmp_path / "b"], tmp_path / "out", engine=HereExecutor(), config=QUICK)
+        assert list(report.failures) == ["a", "b"]
+        assert "a is a link to nowhere" in report.failures["a"]
+
 
 def test_tables_that_cannot_be_written(scans, tmp_path):
     """The results are there all the same, the report is whole, and a warning tells."""
@@ -272,5 +311,6 @@ class TestOrigin:
 
 def test_cells_are_no_formulas():
     assert csv_text([("=1+1", "@x", "-5", 7)]) == "'=1+1,'@x,'-5,7\n"
+    assert list(csv.reader(io.StringIO(csv_text([("a\rb", "c\r\n")]), newline=""))) == [["a\nb", "c\n\n"]]
     others = csv_text([("a", "b;=1", "c\t@x", 'd;"=1', "e\n+1", "semi-detached; -1 = 0")])
     assert others == """a,b;'=1,c\t'@x,"d;""'=1","e\n'+1",semi-detached; -1 = 0\n"""

@@ -2,6 +2,7 @@
 
 import json
 import math
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -117,6 +118,23 @@ def test_what_nobody_edited_changes_nothing(tmp_path, export):
     file = tmp_path / ("boxes.txt" if export is export_openpcdet else "boxes.json")
     export(file, result)
     assert edits_of_boxes(result, read_boxes(file)[::-1]) == ((), 0, 0, ())
+
+
+@pytest.mark.parametrize("name", ["thing", " thing ", "  a chair ", "\u2028a", "\r", "x\ny"])
+def test_a_name_that_files_hold_in_another_way_is_not_edited(name):
+    result = replace(three(), segment_names={0: name})
+    for read in (lambda one: one.strip(), lambda one: "_".join(one.split()) or "thing"):
+        boxes = [box._replace(name=read(box.name)) for box in boxes_of(result).values()]
+        assert edits_of_boxes(result, boxes).steps == ()
+
+
+def test_many_boxes_of_a_large_cloud_take_little_memory():
+    result = result_of(*(block((column, 0, 0), (0.5, 0.5, 0.5), 0, 200) for column in range(400)))
+    boxes = [*boxes_of(result).values()]
+    tracemalloc.start()
+    assert edits_of_boxes(result, boxes).steps == ()
+    assert tracemalloc.get_traced_memory()[1] < 20e6  # two tables of all points in all boxes: 66 MB
+    tracemalloc.stop()
 
 
 def test_cuboids_without_names_leave_the_names(tmp_path):

@@ -1,6 +1,7 @@
 """Labels of points: out, edited in another program, and back."""
 
 import json
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,22 @@ PIECES, STORED = [0, 0, 1, 1, 2, 2, 3, 3], [0, 0, 1, 1]
 def test_what_nobody_edited_changes_nothing():
     assert changes_of(parts_of(PIECES, STORED), [7, 7, 7, 7, 3, 3, 3, 3]) == ((), 0)
     assert changes_of(parts_of(PIECES, STORED), [0] * 8) == ((), 0)  # all objects were deleted
+
+
+def test_many_names_of_many_pieces_take_little_memory():
+    parts = parts_of(range(50_000), np.arange(50_000) // 100)
+    steps = tuple(Edit("name", (100 * segment,), f"tree {segment}") for segment in range(500))
+    tracemalloc.start()
+    assert len(parts.names(Edits(parts.count, steps=steps))) == 500
+    assert tracemalloc.get_traced_memory()[1] < 8e6  # a table of all pieces for each name: 25 MB
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("name", ["thing", " a chair "])
+def test_a_name_that_files_hold_in_another_way_is_not_edited(name):
+    parts, told = parts_of(PIECES, STORED), "" if name == "thing" else name.strip()
+    before = Edits(parts.count, steps=(Edit("name", (0,), name),))
+    assert changes_of(parts, [7, 7, 7, 7, 3, 3, 3, 3], {7: told}, before) == ((), 0)
 
 
 def test_pieces_go_to_the_object_of_most_of_their_points():

@@ -316,6 +316,24 @@ def test_a_tile_tells_which_superpoints_may_go_on(tmp_path):
     assert not task.points.exists()
 
 
+def test_a_point_that_is_alone_in_its_tile(tmp_path):
+    """A bird: a record of one point has gaps that NumPy does not see, and torch refuses."""
+    write_las(tmp_path / "town.laz", np.concatenate([town(2_000, 12), [[300.0, 5.0, 80.0]]]))
+    made = superpoints_of_files(tmp_path / "town.laz", tmp_path / "out.laz", tile=50, engine="loky:1")
+    assert (made.num_points, made.num_tiles) == (2_001, 2)
+
+
+@pytest.mark.parametrize("tile", [1e-12, 1e-3, 1e9, 1e300])
+def test_a_tile_whose_grid_would_fill_the_memory(cloud, tmp_path, tile):
+    with pytest.raises(ValueError, match=r"tile: .* m: expected at most 128000000 cells"):
+        superpoints_of_files(cloud, tmp_path / "out.laz", tile=tile)
+
+
+def test_a_buffer_beyond_the_cloud_is_all_of_it(cloud, tmp_path):
+    counts = [superpoints_of_files(cloud, tmp_path / f"{one}.laz", buffer=one)[1] for one in (100.0, 1e300)]
+    assert counts[0] == counts[1]
+
+
 @pytest.mark.parametrize("size", [None, 20.0])
 def test_tiles_partition_the_plane_and_fit_the_memory(size):
     counts = np.random.default_rng(0).integers(0, 50, (60, 40)) ** 2 // 20

@@ -75,6 +75,19 @@ def test_corrections_are_saved_as_they_are_made(out, tmp_path, monkeypatch):
     viewer.stop()
 
 
+def test_what_is_typed_while_a_name_is_saved_stays(out, tmp_path, monkeypatch):
+    viewer = opened(shutil.copytree(out, tmp_path / "out"), 8990)
+    viewer.model.select((int(viewer.model.table[0]),))
+    field, named = viewer._panel.name, viewer.model.name
+    monkeypatch.setattr(viewer.model, "name", lambda name: (named(name), setattr(field._impl, "value", f"{name}er")))
+    field.value = "lock"  # which calls viewer._on_name
+    assert (field.value, *viewer.model.names.values()) == ("locker", "lock")
+    monkeypatch.undo()
+    field.value = 201 * "x"  # too long
+    assert field.value == "lock"
+    viewer.stop()
+
+
 def test_a_page_that_ends_has_no_thread_at_work(out):
     viewer = opened(out, 8990)
     (worker,) = viewer._workers

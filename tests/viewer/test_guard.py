@@ -9,6 +9,7 @@ import threading
 import urllib.error
 import urllib.request
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -65,6 +66,9 @@ def test_a_page_that_has_ended_draws_nothing(out):
     viewer._guarded(drawn.append, 1)
     viewer.stop()  # while it counts pixels in the background
     viewer._guarded(drawn.append, 2)
+    viewer._cloud, viewer._stand_at = None, drawn.append
+    for element in (viewer._panel.size, viewer._panel.stand):
+        element._impl.update_cb[0](SimpleNamespace(client=3))
     assert drawn == [1]
 
 
@@ -85,6 +89,15 @@ def test_a_name_of_another_site_that_leads_here(viewer, host):
 @pytest.mark.parametrize("host", ["localhost:9000", "127.0.0.1", "[::1]:7"])
 def test_a_forwarded_port(viewer, host):
     assert answer(viewer.url, Host=host) == 200
+
+
+def test_a_machine_whose_name_has_capitals(viewer, monkeypatch):
+    from torchjoint.viewer.server import start_server
+
+    monkeypatch.setattr(socket, "gethostname", lambda: "DESKTOP-7K")
+    server, _, url = start_server(viewer.result.scene, np.array([0.0, 0.0, 1.0]), "127.0.0.1", 8985)
+    assert [answer(url, Host=host) for host in ("DESKTOP-7K:8985", "desktop-7k", "desktop-8k")] == [200, 200, 403]
+    server.stop()
 
 
 ODD = [

@@ -16,6 +16,7 @@ from torchjoint.config import Config, marked_table, parameter_table, presets, su
 from torchjoint.datasets.files.clouds import SUFFIXES
 from torchjoint.datasets.formats import FORMATS
 from torchjoint.recordings.options import RecordingOptions
+from torchjoint.results.folder import is_part
 from torchjoint.runtime.outputs import Output, check_no_input
 
 
@@ -106,6 +107,8 @@ def output_files_in(out: Path, kinds: tuple[str, ...], overwrite: bool, inputs: 
 def _check_parent(out: Path, option: str) -> None:
     if not out.parent.is_dir():
         raise FileNotFoundError(f"{option}: {out.parent} is no folder")
+    if is_part(out):
+        raise ValueError(f"{option}: expected a path outside of the parts of a result, got {out}")
 
 
 def _is_kind(file: Path, kinds: tuple[str, ...]) -> bool:

@@ -48,9 +48,8 @@ def edits(
             say(f"{others} points stay with their piece, of which most points have another label")
     else:
         boxes = read_boxes(file)
-        changes = edits_of_boxes(edited(stored, before), boxes, parts.of_point)
-        steps, empty = changes.steps, changes.empty
-        say(f"{len(boxes)} boxes: {changes.joined} things joined others, {changes.named} names changed")
+        steps, joined, named, empty = edits_of_boxes(edited(stored, before), boxes, parts.of_point)
+        say(f"{len(boxes)} boxes: {joined} things joined others, {named} names changed")
         if empty:
             say(f"{len(empty)} boxes are those of no thing, such as box {empty[0]}; split in the viewer")
     if steps:

@@ -15,6 +15,7 @@ from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
 from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
 from torchjoint.recordings.playing import Played, computed_beside, play
+from torchjoint.recordings.segment import fingerprints, tell_if_changed
 from torchjoint.results.checkpoint import model_checksums
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
@@ -80,6 +81,7 @@ def live(
     key, inputs = f"live {scene.absolute()}", (scene, *map(Path, model_checksums(config)))
     with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite, inputs=inputs) as partial:
         assert partial is not None  # only runs with a key can be finished
+        before = fingerprints(scene, None, out)
         recording = load_scene(scene, topics=dict(read_topics(topics)), time_limit=time_limit, fuse=False)
         if not len(recording.frames):
             raise ValueError(f"scene: {scene}: expected frames with depth, got a cloud without frames")
@@ -87,6 +89,7 @@ def live(
         played = _play(results, rate, every or int(show))
         result = results.compute(len(recording.frames), is_last=True)
         seen = recording.select_frames(played.keyframes)
+        tell_if_changed(scene, None, out, before)
         things = Scene(result.cloud.points, seen.frames, result.cloud.colors, name=recording.name)
         write_result(partial, things, result.segmentation, config, str(scene), seconds=segmenter.stopwatch.seconds)
     summarize(result.segmentation, out)

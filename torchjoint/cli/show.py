@@ -8,7 +8,6 @@ import tempfile
 import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from html import escape
 from importlib import import_module
@@ -22,10 +21,8 @@ from torch import Tensor
 from torchjoint.cli.arguments import output_file
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
-from torchjoint.results.edits import Edits, read_edits
 from torchjoint.results.folder import parts_of, read_source
 from torchjoint.results.loading import load_result
-from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.runtime.messages import say
@@ -143,10 +140,9 @@ def _write_static(
     page: Output, result: Result, folder: Path | None, granularity: float | None, up: Tensor | None
 ) -> None:
     from torchjoint.results.page import write_page
+    from torchjoint.viewer.shown import Shown
 
-    count = Parts(result).count
-    edits = Edits(count) if folder is None else read_edits(folder, count)
-    edits = edits if granularity is None else replace(edits, granularity=granularity)
+    edits = Shown(folder).edits(result, granularity)
     with page.written() as path:
         shown = write_page(path, result, up, edits)
     say(page.path if shown == len(result.points) else f"{page.path}: {shown} of {len(result.points)} points")

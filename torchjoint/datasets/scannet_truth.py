@@ -50,7 +50,7 @@ def point_instances(
     numbers, segment_of_point, sizes = np.unique(segments, return_inverse=True, return_counts=True)
     groups = []
     for group in read_record(objects_file, "segments of objects").records("segGroups"):
-        instance = _object_id(group)
+        instance = object_id(group)
         if among is not None and instance not in among:
             continue
         inside = np.isin(numbers, group.integers("segments"))
@@ -59,12 +59,6 @@ def point_instances(
     for _, instance, members in sorted(groups, key=lambda group: -group[0]):
         objects[members] = instance
     return torch.from_numpy(objects[segment_of_point])
-
-
-def read_object_classes(objects_file: Path) -> dict[int, str]:
-    """Reads the raw category of each annotated object, by its objectId."""
-    groups = read_record(objects_file, "segments of objects").records("segGroups")
-    return {_object_id(group): group.text("label") for group in groups}
 
 
 def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Sequence[Tensor]:
@@ -93,13 +87,9 @@ def _archive_reader(file: Path, names: Sequence[str]) -> Callable[[str], Tensor]
         return None
     archive = Members(file)
     for name in names:
-        if _member(name) not in archive.names:
-            raise FileNotFoundError(f"{file}: expected a member for every frame; {_member(name)} is missing")
-    return lambda name: _read_label_member(archive, _member(name))
-
-
-def _member(name: str) -> str:
-    return f"instance-filt/{name}.png"
+        if (member := f"instance-filt/{name}.png") not in archive.names:
+            raise FileNotFoundError(f"{file}: expected a member for every frame; {member} is missing")
+    return lambda name: _read_label_member(archive, f"instance-filt/{name}.png")
 
 
 def _read_label_member(archive: Members, member: str) -> Tensor:
@@ -107,7 +97,8 @@ def _read_label_member(archive: Members, member: str) -> Tensor:
     return labels_of(decode_image(archive.read(member, bounds.IMAGE_BYTES), name), name)
 
 
-def _object_id(group: Record) -> int:
+def object_id(group: Record) -> int:
+    """The objectId of an annotated object."""
     instance = group.values.get("objectId")
     if type(instance) is not int or not 0 <= instance < 2**31:
         raise ValueError(f"{group.name}: objectId: expected an integer >= 0")

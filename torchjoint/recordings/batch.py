@@ -24,7 +24,7 @@ from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_rec
 from torchjoint.results.checkpoint import model_checksums
 from torchjoint.results.folder import read_origin
 from torchjoint.runtime.files import remove_partial_files, write_text
-from torchjoint.runtime.foreign_files import csv_text, read_text
+from torchjoint.runtime.foreign_files import csv_text, or_unreadable, read_text
 from torchjoint.runtime.messages import in_one_line, is_out_of_memory
 from torchjoint.runtime.outputs import lock
 
@@ -167,8 +167,8 @@ def batch(
     """
     config, options = config or Config(), options or RecordingOptions()
     options.check(config)
+    named = find_recordings(scenes)  # first: a new folder for results is no recording
     job = Job(_prepared(Path(out).absolute()), config, options, overwrite, allow_import)
-    named = find_recordings(scenes)
     found = {_folder(job.out, name, path, named): path for name, path in named.items()}
     with lock(job.out / _LOCK, f"{out}: another batch is writing its results here; wait for it, or choose another"):
         _check_record(job)
@@ -250,7 +250,7 @@ def _check_record(job: Job) -> None:
 
 def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[str, Path], tuple[str, ...]]:
     """The recordings without a result, and the names of those that have one; a damaged or other result is a failure."""
-    skipped = [name for name in found if not job.overwrite and is_done(job.folder(name))]
+    skipped = [name for name in found if not job.overwrite and or_unreadable(is_done, job.folder(name))]
     memory = tables.earlier_memory()
     for name in skipped:
         try:

@@ -147,7 +147,7 @@ def segment_recording(
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")
-    files, of_masks = _fingerprints(path, masks, out)
+    files, of_masks = fingerprints(path, masks, out)
     source = f"{files} {options.source()}"
     if masks is not None:
         source += f" {of_masks} {without_masks}"
@@ -174,18 +174,22 @@ def segment_recording(
         if level is not None:
             result = result.at(level)
         level = 0.5 if level is None else level
-        is_same = False
-        with suppress(FileNotFoundError):
-            is_same = _fingerprints(path, masks, out) == (files, of_masks)
-        if not is_same:
-            warnings.warn(f"{path}: changed while it was segmented; the result may be of both states", stacklevel=2)
+        tell_if_changed(path, masks, out, (files, of_masks))
         write_result(partial, scene, result, config, str(path), level, fingerprint=files, seconds=clock.seconds)
     return Segmented(result, segmenter, scene)
 
 
-def _fingerprints(path: Path, masks: Path | None, out: Path) -> tuple[str, str]:
+def fingerprints(path: Path, masks: Path | None, out: Path) -> tuple[str, str]:
     """Of a recording and its masks."""
     return fingerprint(path, own_files(out)), "" if masks is None else fingerprint(masks)
+
+
+def tell_if_changed(path: Path, masks: Path | None, out: Path, before: tuple[str, str]) -> None:
+    """Warns if a recording or its masks are not what they were before its run."""
+    with suppress(FileNotFoundError):
+        if fingerprints(path, masks, out) == before:
+            return
+    warnings.warn(f"{path}: changed while it was segmented; the result may be of both states", stacklevel=3)
 
 
 def run(

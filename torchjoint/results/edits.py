@@ -27,13 +27,13 @@ from torchjoint.runtime.messages import printable
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import check_granularity
 
-SplitTable = npt.NDArray[np.int64]
+Table = npt.NDArray[np.int64]
 #: A split gives parts with at least this share of the points, if possible. The last merges of a large segment often add
 #: tiny parts: in 15 of the demo's 25 largest segments the last merge adds less than a twentieth of the points.
 LEAST_SHARE = 0.05
 
 
-def split(table: SplitTable, pieces: tuple[int, ...], hierarchy: Hierarchy | None) -> SplitTable:
+def split(table: Table, pieces: tuple[int, ...], hierarchy: Hierarchy | None) -> Table:
     """Splits a segment.
 
     Args:
@@ -71,7 +71,7 @@ def split(table: SplitTable, pieces: tuple[int, ...], hierarchy: Hierarchy | Non
     return table
 
 
-def place_to_split(table: SplitTable, piece: int, sizes: SplitTable, hierarchy: Hierarchy | None) -> tuple[int, ...]:
+def place_to_split(table: Table, piece: int, sizes: Table, hierarchy: Hierarchy | None) -> tuple[int, ...]:
     """Chooses where to split a segment; returns the argument `pieces` of :func:`split`.
 
     If the segment was joined by hand, the join is undone. Otherwise it is the last merge whose removal leaves two parts
@@ -101,7 +101,7 @@ def _last(heights: npt.NDArray[np.float64]) -> int:
     return len(heights) - 1 - int(np.argmax(heights[::-1]))
 
 
-def _smaller_sides(tree: SplitTable, sizes: SplitTable, root: int) -> SplitTable:
+def _smaller_sides(tree: Table, sizes: Table, root: int) -> Table:
     """[M] for each merge of a tree [M, 2], the points of the smaller part that remains without this merge."""
     count = len(sizes)
     graph = coo_array((np.ones(len(tree), dtype=bool), (tree[:, 0], tree[:, 1])), shape=(count, count))
@@ -113,15 +113,14 @@ def _smaller_sides(tree: SplitTable, sizes: SplitTable, root: int) -> SplitTable
     return np.minimum(below[child], below[root] - below[child])
 
 
-def _parts(merges: SplitTable, count: int) -> SplitTable:
-    parts: SplitTable = ops.connected_components(torch.from_numpy(merges).t(), count).numpy()
+def _parts(merges: Table, count: int) -> Table:
+    parts: Table = ops.connected_components(torch.from_numpy(merges).t(), count).numpy()
     return parts
 
 
 FILE = "edits.json"
 #: Most characters of a segment's name.
 LONGEST = 200
-Table = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -170,8 +169,9 @@ class Edits:
             elif step.kind == "split":
                 table = split(table, step.pieces, hierarchy)
             elif step.kind == "gather":
+                inside = np.flatnonzero(np.isin(table, table[list(step.pieces)]))  # others stay as they are
                 table[list(step.pieces)] = len(table)
-                table = first_pieces(table)
+                table[inside] = inside[first_pieces(table[inside])]
         return table
 
 

@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from fnmatch import fnmatch
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,7 +41,7 @@ from torchjoint.results.objects import write_segments
 from torchjoint.results.render import label_colors
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
-from torchjoint.runtime.foreign_files import damage_is, has_file, present
+from torchjoint.runtime.foreign_files import damage_is, has_file, no_twice, present
 from torchjoint.runtime.store import pack
 from torchjoint.runtime.threads import LazySequence, on_cpu, parallel_map
 from torchjoint.scene import Cloud, LabelImages, Scene, Segmentation
@@ -68,6 +69,13 @@ def parts_of(result: Path) -> list[Path]:
     source = read_origin(result).scene
     own = [path for part in PARTS for path in result.glob(part)]
     return [*own, Path(source)] if os.path.isfile(source) else own
+
+
+def is_part(path: Path) -> bool:
+    """Whether a path is that of a part of a result, also of one that is not there, or is in one."""
+    real = path.parent.resolve() / path.name.lower()
+    named = (one.parent for one in (real, *real.parents) if any(fnmatch(one.name, part) for part in PARTS))
+    return any((folder / "run.yaml").is_file() and (folder / "points.npz").is_file() for folder in named)
 
 
 class PointResult(NamedTuple):
@@ -134,16 +142,8 @@ def write_result(
 
 def _remove_earlier(folder: Path) -> None:
     """Deletes the files of an interrupted run: with other parameters it may have written other files."""
-    for name in (
-        "points.ply",
-        "points.npz",
-        HIERARCHY,
-        CAMERAS,
-        "overview.png",
-        "run.yaml",
-        MANIFEST,
-        "embeddings.npz",
-    ):
+    files = "points.ply", "points.npz", HIERARCHY, CAMERAS, "overview.png", "run.yaml", MANIFEST, "embeddings.npz"
+    for name in files:
         (folder / name).unlink(missing_ok=True)
     for name in ("images", PIECES):
         shutil.rmtree(folder / name, ignore_errors=True)
@@ -233,16 +233,13 @@ def read_record(folder: Path) -> tuple[dict[str, int], dict[str, float]]:
 
 
 def _run_file(folder: Path) -> Path:
-    file = folder / "run.yaml"
-    return present(file, "a folder that `torchjoint segment` wrote")
+    return present(folder / "run.yaml", "a folder that `torchjoint segment` wrote")
 
 
 def _write_label_images(folder: Path, result: Segmentation) -> int:
     """Writes the label images; returns the largest label, or -1."""
     names = frame_files(result.names)
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"frames: expected different names, got {twice!r} twice")
+    no_twice(names, "frames: name")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 import torch
@@ -66,13 +67,19 @@ class Parts:
         several names, that of the smallest named segment counts, then the latest. Names of the result, which masks
         gave, count less.
         """
-        steps = [step for step in edits.steps if step.kind == "name"]
-        levels = {level: self.table(replace(edits, granularity=level)) for level in {one.granularity for one in steps}}
-        named = [(levels[step.granularity] == levels[step.granularity][step.pieces[0]], step.name) for step in steps]
-        table, names = self.table(edits), dict[int, str]()
-        given = [(self.stored == segment, name) for segment, name in self.result.segment_names.items()]
-        for pieces, name in given + sorted(named, key=lambda one: -int(one[0].sum())):
-            names.update(dict.fromkeys(np.setdiff1d(table[pieces], table[~pieces]).tolist(), name))
+        shaped = replace(edits, steps=tuple(step for step in edits.steps if step.kind != "name"))
+        steps = [(number, step) for number, step in enumerate(edits.steps) if step.kind == "name"]
+        steps.sort(key=lambda one: -1.0 if one[1].granularity is None else one[1].granularity)
+        named = []
+        for level, own in groupby(steps, lambda one: one[1].granularity):
+            table = self.table(replace(shaped, granularity=level))
+            named += [(number, np.flatnonzero(table == table[one.pieces[0]]), one.name) for number, one in own]
+        given = [(-1, np.flatnonzero(self.stored == one), name) for one, name in self.result.segment_names.items()]
+        table, names = self.table(shaped), dict[int, str]()
+        sizes = np.bincount(table)
+        for _, pieces, name in given + sorted(named, key=lambda one: (-len(one[1]), one[0])):
+            found, counts = np.unique(table[pieces], return_counts=True)
+            names.update(dict.fromkeys(found[counts == sizes[found]].tolist(), name))
         return {segment: name for segment, name in names.items() if name}
 
     def level(self, granularity: float | None) -> Table:

@@ -10,23 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
 from torchjoint.datasets.files.text import read_record
 from torchjoint.results.boxes import UNNAMED, Box, boxes_of
-from torchjoint.results.edits import FILE, Edit, Edits, read_edits, write_edits
+from torchjoint.results.edits import FILE, Edit, Edits, Table, read_edits, write_edits
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import dict_of
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.outputs import lock
 
-Array = npt.NDArray[np.int64]
-
 
 class PointLabels(NamedTuple):
     """Objects of Segments.ai, by their ids."""
 
-    of_point: Array  #: [N] the object of each point; 0: none
+    of_point: Table  #: [N] the object of each point; 0: none
     names: Mapping[int, str]  #: of the objects whose attribute `name` is in the file
 
 
@@ -86,13 +85,13 @@ def edits_of_points(parts: Parts, before: Edits, labels: PointLabels) -> tuple[t
     named = [
         Edit("name", (first[one],), name)
         for one, name in sorted(labels.names.items())
-        if one in first and name != names.get(int(table[first[one]]), "")
+        if one in first and _told(name) != _told(names.get(int(table[first[one]]), ""))
     ]
     lost = int((labelled & (labels.of_point != of_piece[parts.of_point])).sum())
     return (*gathered, *named), lost
 
 
-def _most(group: Array, ids: Array, count: int) -> Array:
+def _most(group: Table, ids: Table, count: int) -> Table:
     """[count] the id that most members of a group have, the lowest of several; 0: the group has no members."""
     numbers, of_member = np.unique(ids, return_inverse=True)
     pairs, sizes = np.unique(group * len(numbers) + of_member, return_counts=True)
@@ -132,27 +131,37 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.i
         piece: [N] the piece of each point, which does not change with corrections.
     """
     points, labels = result.scene.points.double().numpy(), result.points.numpy()
-    inside = np.array([box.holds(points) for box in boxes], dtype=bool).reshape(len(boxes), len(points))
-    own = {segment: box.holds(points) for segment, box in boxes_of(result).items()}
-    segment_of = _matches(inside, own)
+    own = boxes_of(result)
+    inside = _members(boxes, points)
+    segment_of = _matches(inside, _members([*own.values()], points), [*own])
     first = {segment: int(piece[labels == segment].min()) for segment in own}
-    steps, joined = [], 0
+    steps: list[Edit] = []
     by_size = sorted(segment_of, key=lambda number: (np.prod(boxes[number].size), number))
     for segment in sorted(own.keys() - set(segment_of.values())):
-        of_segment = labels == segment
-        holder = next((n for n in by_size if inside[n, of_segment].mean() > INSIDE), None)
+        of_segment = np.flatnonzero(labels == segment)
+        shares = inside[:, of_segment].sum(1) / len(of_segment)
+        holder = next((number for number in by_size if shares[number] > INSIDE), None)
         if holder is not None:
             steps.append(Edit("join", (first[segment_of[holder]], first[segment])))
-            joined += 1
-    named = 0
+    joined = len(steps)
     for number, segment in sorted(segment_of.items()):
-        if not boxes[number].name:
-            continue
-        name = "" if boxes[number].name == UNNAMED else boxes[number].name
-        if _words(name) != _words(result.segment_names.get(segment, "")):
+        name = _told(boxes[number].name)
+        if boxes[number].name and _words(name) != _words(_told(result.segment_names.get(segment, ""))):
             steps.append(Edit("name", (first[segment],), name))
-            named += 1
-    return BoxEdits(tuple(steps), joined, named, tuple(n for n in range(len(boxes)) if n not in segment_of))
+    empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
+    return BoxEdits(tuple(steps), joined, len(steps) - joined, empty)
+
+
+def _members(boxes: Sequence[Box], points: npt.NDArray[np.float64]) -> csr_array:
+    """[B, N] 1: the point is in the box. A table of all would fill the memory: most points are in few boxes."""
+    inside = [np.flatnonzero(box.holds(points)) for box in boxes]
+    ends, columns = np.cumsum([0, *map(len, inside)]), np.concatenate([np.empty(0, np.int64), *inside])
+    return csr_array((np.ones(len(columns), np.int64), columns, ends), shape=(len(boxes), len(points)))
+
+
+def _told(name: str) -> str:
+    """A name as it comes back in a file."""
+    return "" if name.strip() == UNNAMED else name.strip()
 
 
 def _words(name: str) -> str:
@@ -160,17 +169,15 @@ def _words(name: str) -> str:
     return "_".join(name.split())
 
 
-def _matches(inside: npt.NDArray[np.bool_], own: Mapping[int, npt.NDArray[np.bool_]]) -> dict[int, int]:
-    """The segment of each box that has one."""
-    pairs = []
-    for segment, of_segment in own.items():
-        shared, either = (inside & of_segment).sum(1), (inside | of_segment).sum(1)
-        iou = shared / np.maximum(either, 1)
-        pairs += [(-float(iou[number]), int(number), segment) for number in np.flatnonzero(iou >= SAME)]
+def _matches(inside: csr_array, own: csr_array, segments: Sequence[int]) -> dict[int, int]:
+    """The segment of each box that has one; `own`: the members of each segment's box."""
+    shared = (inside @ own.T).tocoo()
+    either = inside.sum(1)[shared.row] + own.sum(1)[shared.col] - shared.data
+    pairs = zip(-shared.data / either, shared.row.tolist(), shared.col.tolist(), strict=True)
     found: dict[int, int] = {}
-    for _, number, segment in sorted(pairs):
-        if number not in found and segment not in found.values():
-            found[number] = segment
+    for iou, number, place in sorted(pairs):
+        if -iou >= SAME and number not in found and segments[place] not in found.values():
+            found[number] = segments[place]
     return found
 
 

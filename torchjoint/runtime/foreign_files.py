@@ -181,6 +181,6 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
     """Rows as text. A text that a spreadsheet would compute gets apostrophes: names come from others."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(
-        [_FORMULA.sub("'", cell) if isinstance(cell, str) else cell for cell in row] for row in rows
-    )
+        [_FORMULA.sub("'", cell).replace("\r", "\n") if isinstance(cell, str) else cell for cell in row] for row in rows
+    )  # csv puts no quotes around a lone "\r", which ends a row
     return text.getvalue()

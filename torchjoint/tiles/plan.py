@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from torchjoint.datasets.files.las import LasPoints, las_points, open_las, tell_unit
+from torchjoint.runtime import bounds
 from torchjoint.scene.cloud import full_brightness
 
 #: Mean number of points in a cell, and most cells: small enough to cut tiles along cells, and few enough for memory.
@@ -105,8 +106,9 @@ def _grid(num_points: int, low: npt.NDArray[np.float64], high: npt.NDArray[np.fl
         side = align / max(1, math.floor(align / side))
         step = align
     origin = np.floor(low[:2] / step) * step
-    shape = np.floor((high[:2] - origin) / side).astype(np.int64) + 1
-    return Survey(0, np.array([*origin, low[2]]), side, np.zeros(tuple(shape), np.int64), None)
+    shape = np.floor((high[:2] - origin) / side) + 1
+    bounds.check(shape.prod(), 32 * MOST_CELLS, "cells, of the cloud or of one tile", f"tile: {align} m")
+    return Survey(0, np.array([*origin, low[2]]), side, np.zeros(shape.astype(np.int64), np.int64), None)
 
 
 def _count(files: Sequence[Path], grid: Survey) -> tuple[Survey, npt.NDArray[np.float64], npt.NDArray[np.float64]]:

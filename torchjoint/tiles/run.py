@@ -28,7 +28,7 @@ from torchjoint.results.labelled_file import check_dimension, write_labelled
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import has_file
-from torchjoint.runtime.outputs import SOURCE, Seen, check_no_input, lock, put, read_sealed, seen, settle, work_folder
+from torchjoint.runtime.outputs import SOURCE, check_no_input, lock, put, read_sealed, seen, settle, work_folder
 from torchjoint.tiles.plan import NARROWEST, plan_tiles, survey
 from torchjoint.tiles.stitching import stitch
 from torchjoint.tiles.tile import TileTask, point_type, read_own, read_shared, segment_tile, spill_points, tile_file
@@ -119,14 +119,16 @@ def superpoints_of_files(
         _check_output(cloud, files, out, overwrite)  # again, because another run may have made it in the meantime
         stats = [fingerprint(file) for file in files]
         work_folder(work, repr((stats, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
-        cut = _cut(files, work, tile, buffer, progress)
-        _segment(cut, work, config, engine, progress)
+        hidden = None if progress is None else not progress  # None: if there is no terminal
+        cut = _cut(files, work, tile, buffer, hidden)
+        _segment(cut, work, config, engine, hidden)
         num_superpoints, labels = _stitch(cut, work)
-        _write(cloud, files, out, work, labels, progress)
+        _write(cloud, files, out, work, labels, hidden)
         if [fingerprint(file) for file in files] != stats:
             raise ValueError(f"{cloud}: changed while it was segmented; start again")
         held.check()
-        _place(cloud, out, work, before)
+        made = work / "result" if cloud.is_dir() else work / "result" / out.name
+        put(made, out, before, work / "replaced")  # all of them in one step
         shutil.rmtree(work)
     return TiledCloud(cut.num_points, num_superpoints, cut.num_tiles)
 
@@ -186,7 +188,7 @@ def _result_name(file: Path) -> str:
     return f"{file.name[: -len(COPC)]}.laz" if is_copc else file.name
 
 
-def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | None, progress: bool | None) -> _Cut:
+def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | None, hidden: bool | None) -> _Cut:
     """Writes the points of all tiles, unless an earlier run has."""
     marker, folder = work / "cut.npz", work / "points"
     if not marker.is_file():
@@ -196,9 +198,10 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
         width = BUFFER_SPACINGS * found.spacing() if buffer is None else buffer
         if tile is not None and buffer is None:
             width = min(width, tile / NARROWEST)
+        width = min(width, 2 * found.side * max(found.counts.shape))  # more is the same
         plan = plan_tiles(found, tile, width, MOST_POINTS)
         _check_disk(work, found.num_points, found.whites is not None)
-        with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=_hidden(progress)) as bar:
+        with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=hidden) as bar:
             spill_points(files, found, plan, folder, bar.update)
         with atomic_write(marker) as partial:
             np.savez(
@@ -221,7 +224,7 @@ def _check_disk(work: Path, num_points: int, colored: bool) -> None:
         raise ValueError(f"out: expected about {needed / 1e9:.1f} GB free in {work.parent}, got {free / 1e9:.1f} GB")
 
 
-def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLike, progress: bool | None) -> None:
+def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLike, hidden: bool | None) -> None:
     """Segments the tiles without labels, several at a time; a single tile is segmented in this process."""
     (work / "labels").mkdir(exist_ok=True)
     tasks = [
@@ -229,7 +232,7 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLik
         for number, size in enumerate(cut.tile_sizes)
         if not _labels_file(work, number).is_file()
     ]
-    with tqdm(total=cut.num_tiles, desc="segment", unit="tile", disable=_hidden(progress)) as bar:
+    with tqdm(total=cut.num_tiles, desc="segment", unit="tile", disable=hidden) as bar:
         bar.update(cut.num_tiles - len(tasks))
         if len(tasks) <= 1 or engine == HERE:
             for task in tasks:
@@ -265,29 +268,18 @@ def _write(
     out: Path,
     work: Path,
     labels: npt.NDArray[np.unsignedinteger],
-    progress: bool | None,
+    hidden: bool | None,
 ) -> None:
     """Writes copies of the files with labels."""
     made = work / "result"
     shutil.rmtree(made, ignore_errors=True)
     made.mkdir()
     first = 0
-    with tqdm(total=len(labels), desc="write", unit="points", unit_scale=True, disable=_hidden(progress)) as bar:
+    with tqdm(total=len(labels), desc="write", unit="points", unit_scale=True, disable=hidden) as bar:
         for file in files:
             name = _result_name(file) if cloud.is_dir() else out.name
             first += write_labelled(file, made / name, {DIMENSION: labels[first:]}, bar.update)
 
 
-def _place(cloud: Path, out: Path, work: Path, before: Seen) -> None:
-    """Moves all of them to `out` in one step."""
-    made = work / "result"
-    put(made if cloud.is_dir() else made / out.name, out, before, work / "replaced")
-
-
 def _labels_file(work: Path, number: int) -> Path:
     return work / "labels" / f"{number:06d}.npz"
-
-
-def _hidden(progress: bool | None) -> bool | None:
-    """The argument `disable` of tqdm; None hides the bar if there is no terminal."""
-    return None if progress is None else not progress

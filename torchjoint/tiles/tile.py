@@ -155,7 +155,7 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
         task.points.unlink(missing_ok=True)
         return
     records = np.fromfile(task.points, point_type(white is not None))
-    points = torch.from_numpy(np.ascontiguousarray(records["xyz"]))
+    points = torch.from_numpy(records["xyz"].copy())
     colors = None if white is None else torch.from_numpy(records["rgb"].astype(np.float32) / white)
     number, kind = records["number"].copy(), records["kind"].copy()
     inside = (1 - RIM) * task.buffer  # a superpoint is whole if it reaches at most so far outside of the tile

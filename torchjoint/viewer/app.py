@@ -193,7 +193,7 @@ class Viewer:
         panel.export.on_click(lambda event: self._guarded(self._on_export, event.client))
         panel.save.on_click(then(self._on_save))
         panel.view.on_click(lambda event: self._guarded(self._on_view, event.client))
-        panel.size.on_update(lambda _: self._cloud.resize(panel.size.value))
+        panel.size.on_update(then(lambda: self._cloud.resize(panel.size.value)))
         panel.front.on_update(then(self._cut_front))
         if panel.level is not None:
             panel.level.on_update(changes(lambda: self.model.set_granularity(panel.level.value)))
@@ -205,7 +205,7 @@ class Viewer:
             panel.frame.on_update(then(self._on_frame))
             panel.cameras.on_update(then(lambda: seen.show(panel.cameras.value)))
             panel.opacity.on_update(then(self._draw_image))
-            panel.stand.on_click(lambda event: self._stand_at(self._frame_index(), event.client))
+            panel.stand.on_click(lambda event: self._guarded(self._stand_at, self._frame_index(), event.client))
         self._draw()
 
     def _connect_scene(self) -> None:
@@ -285,7 +285,7 @@ class Viewer:
             self._show_all(client)
         self._cloud.look_from(client.camera.position)
         if abs(self._standing.get(client.client_id, client.camera.wxyz) @ client.camera.wxyz) < 0.9999:
-            del self._standing[client.client_id]
+            self._standing.pop(client.client_id, None)  # no orientation at all is like no other
             client.scene.set_background_image(None)
             self._cloud.resize(self._panel.size.value)
 
@@ -321,10 +321,7 @@ class Viewer:
         self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
 
     def _on_view(self, client: Any) -> None:
-        if self._panel.view.value != RESET:
-            self._select(())
-            return
-        self._show_all(client)
+        self._show_all(client) if self._panel.view.value == RESET else self._select(())
 
     def _show_all(self, client: Any) -> None:
         """Shows the whole cloud, as large as the canvas allows."""
@@ -341,11 +338,12 @@ class Viewer:
             self._cameras.mark(self._frame_index())
 
     def _on_name(self) -> None:
-        if self._panel.name.value != self._selected_name():
+        if (name := self._panel.name.value) != self._selected_name():
             try:
-                self.model.name(self._panel.name.value)
-            finally:
+                self.model.name(name)
+            except ValueError:  # otherwise the field stays: the user may have typed on
                 self._panel.name.value = self._selected_name()
+                raise
             self._draw_lists()
 
     def _selected_name(self) -> str:

@@ -179,7 +179,7 @@ def _guard(answer: Any, token: str, host: str) -> Any:
     is a number or a name of this machine: a name of another site may lead here, too. `Origin`, which a browser sends
     with a websocket, is the page itself.
     """
-    own = {"localhost", host, socket.gethostname(), socket.getfqdn()}
+    own = {name.lower() for name in ("localhost", host, socket.gethostname(), socket.getfqdn())}  # as urlsplit does
 
     def checked(connection: Any, request: Any) -> Any:
         given, _, path = request.path.removeprefix("/").partition("/")

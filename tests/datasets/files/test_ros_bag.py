@@ -4,7 +4,7 @@ import bz2
 import shutil
 import sqlite3
 import struct
-from contextlib import closing
+from contextlib import closing, nullcontext
 
 import pytest
 from lz4 import frame as lz4
@@ -92,6 +92,25 @@ def test_a_page_that_is_in_a_database_many_times(tmp_path):
     file.write_bytes(data + leaf)
     with pytest.raises(ValueError, match=r"walk: not a whole ROS recording: .*expected a whole database, got .*page"):
         Bag(tmp_path / "walk")
+
+
+@pytest.mark.parametrize(("times", "is_refused"), [(1, False), (40, True)])
+def test_chunks_of_one_time_are_unpacked_together(times, is_refused, tmp_path, monkeypatch):
+    """An index may name a chunk any number of times, and rosbags holds all that begin before the first one ends."""
+    ros_2(tmp_path / "walk", CompressionMode.STORAGE, StoragePlugin.MCAP)
+    file = tmp_path / "walk" / "walk.mcap"
+    data = file.read_bytes()
+    (at,) = struct.unpack("<Q", data[-28:-20])  # of the summary
+    head, chunks = data[:at], b""
+    while data[at] != 2:  # the end
+        end = at + 9 + struct.unpack("<Q", data[at + 1 : at + 9])[0]
+        chunks += data[at:end] * (times if data[at] == 8 else 1)
+        at = end
+    file.write_bytes(head + chunks + data[at:])
+    monkeypatch.setattr(bounds, "FREE", 2_000_000)
+    for path in (tmp_path / "walk", file):
+        with pytest.raises(ValueError, match=r"expected at most .* unpacked") if is_refused else nullcontext():
+            assert Bag(path).first("/text").data == TEXT
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])

@@ -288,7 +288,7 @@ class TestImages:
         ("images", "error", "message"),
         [
             ([], ValueError, r"images\.\w+: expected images with poses, got none"),
-            ([("0.png", 3), ("0.png", 3)], ValueError, r"images\.\w+: two images are called '0\.png'"),
+            ([("0.png", 3), ("0.png", 3)], ValueError, r"images\.\w+: image '0\.png' is there twice"),
             ([("0.png", 4)], ValueError, r"image '0\.png' is of camera 4, which .*cameras\.\w+ lacks"),
             (
                 [("7.png", 3)],

@@ -432,7 +432,7 @@ class TestExported:
 
     def test_two_images_of_one_frame(self, folder):
         Image.new("RGB", (8, 6)).save(folder / "color" / "1.png")
-        with pytest.raises(ValueError, match="frame '1' has two colour images"):
+        with pytest.raises(ValueError, match="the colour image of frame '1' is there twice"):
             tj.load_scene(folder)
 
     def test_a_pose_that_is_none(self, folder):

@@ -8,7 +8,6 @@ points3D    id, position, colour, error, track
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera, pinhole_matrix, rotations_from_quaternions
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.text import parse_integer, parse_numbers, read_lines
-from torchjoint.runtime.foreign_files import dict_of, has_file
+from torchjoint.runtime.foreign_files import dict_of, has_file, no_twice
 
 #: Camera models; the index is the model's number in binary files.
 MODELS = (
@@ -72,9 +71,7 @@ def read_images(folder: Path) -> list[ColmapImage]:
     if not rows:
         raise ValueError(f"{images_file}: expected images with poses, got none")
     rows.sort(key=lambda row: row.name)
-    for row, following in pairwise(rows):
-        if row.name == following.name:
-            raise ValueError(f"{images_file}: two images are called {row.name!r}")
+    no_twice((row.name for row in rows), f"{images_file}: image")
     for row in rows:
         if row.camera not in cameras:
             raise ValueError(f"{images_file}: image {row.name!r} is of camera {row.camera}, which {cameras_file} lacks")

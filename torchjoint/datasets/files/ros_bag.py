@@ -15,6 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
+from itertools import accumulate
 from pathlib import Path
 from threading import Lock
 from types import SimpleNamespace
@@ -125,6 +126,8 @@ def _open(path: Path) -> Any:
     reader.open()
     try:
         _check_arrays(reader.typestore.fielddefs)
+        if reader.is2:
+            _check_chunks(reader.readers[0].storage)
     except ValueError:
         reader.close()
         raise
@@ -142,6 +145,17 @@ def _check_arrays(types: Mapping[str, Any]) -> None:
     bounds.check(lines, bounds.PROPERTIES, "texts and messages in all arrays of fixed lengths")
     if any(length < 1 for _, length in arrays):
         raise ValueError("expected arrays of at least one element")
+
+
+def _check_chunks(storage: Any) -> None:
+    """Checks what rosbags holds at a time, unpacked: the chunks of one time in the index of an MCAP file."""
+    from rosbags.rosbag2.storage_mcap import McapReader
+
+    for file in (one for one in getattr(storage, "storages", (storage,)) if isinstance(one, McapReader)):
+        begin = [(one.message_start_time, one.uncompressed_size) for one in file.chunks]
+        end = [(max(one.message_start_time, one.message_end_time) + 1, -one.uncompressed_size) for one in file.chunks]
+        held = accumulate(size for _, size in sorted(begin + end))
+        bounds.check_unpacked(max(held, default=0), file.path.stat().st_size)
 
 
 def bound_definitions() -> None:

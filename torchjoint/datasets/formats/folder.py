@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_label_image, read_matrix
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
-from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_labels, as_pose
@@ -47,9 +47,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
     """Returns the frames of a folder; each frame is read on access."""
     colors = _color_files(path)
     stems = [file.name.split(".")[0] for file in colors]
-    if len(set(stems)) < len(stems):
-        twice = next(stem for stem in stems if stems.count(stem) > 1)
-        raise ValueError(f"{path}: frame {twice!r} has two colour images")
+    no_twice(stems, f"{path}: the colour image of frame")
     lost = {file.name.split(".")[0] for file in path.glob("frame-*.pose.txt")}.difference(stems)
     if lost:
         warnings.warn(

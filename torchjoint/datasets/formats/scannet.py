@@ -31,7 +31,7 @@ from torchjoint.datasets.files.sens import SensFile
 from torchjoint.datasets.recording import Options, find_cloud, invert_pose, read_shots, scene_of_frames, tell_left_out
 from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_cameras
 from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
-from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
+from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, or_unreadable
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -115,10 +115,7 @@ def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
         (file for file in (folder / "color").iterdir() if file.suffix.lower() in _SUFFIXES),
         key=lambda file: _order(file.stem),
     )
-    stems = [file.stem for file in images]
-    if len(set(stems)) < len(stems):
-        twice = next(stem for stem in stems if stems.count(stem) > 1)
-        raise ValueError(f"{folder / 'color'}: frame {twice!r} has two colour images")
+    no_twice((file.stem for file in images), f"{folder / 'color'}: the colour image of frame")
     return frames_of(folder, images, cameras, (folder / "pose", folder / "depth"))
 
 
