@@ -19,7 +19,7 @@ import torchjoint as tj
 from torchjoint.results.figures import cloud_figure
 from torchjoint.results.render import label_colors, render_cloud
 from torchjoint.scene.scene import voxel_subsample
-from torchjoint.views.projection import in_any_view
+from torchjoint.views.visibility import in_any_view
 
 DOCS = Path(__file__).parents[2] / "docs"
 JPEG = {"dpi": 100, "pil_kwargs": {"quality": 88, "subsampling": 0}}

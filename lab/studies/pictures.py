@@ -36,8 +36,7 @@ from torchjoint.results.render import label_colors, render_cloud
 from torchjoint.scene.frame import PoseWarning
 from torchjoint.segments.scan.method import segment_scan
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
-from torchjoint.views.projection import project
-from torchjoint.views.visibility import Visible, visible_points
+from torchjoint.views.visibility import Visible, project, visible_points
 
 DOCS = Path(__file__).parents[2] / "docs"
 #: OpenCV's axes (x right, y down, z forward) from OpenGL's (x right, y up, z backward).

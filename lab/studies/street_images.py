@@ -32,7 +32,7 @@ from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame, Scene
 from torchjoint.segments.scan.gaps import JOINING_GAP, NEIGHBORS
 from torchjoint.segments.scan.method import scan_gaps
-from torchjoint.views.projection import in_any_view
+from torchjoint.views.visibility import in_any_view
 
 #: Number of places along the line between two points at which the boundary is looked at.
 SAMPLES = 9

@@ -23,7 +23,7 @@ from torchjoint_lab.synthetic import make_domain_scene
 
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.scene import Scene
-from torchjoint.views.projection import in_any_view
+from torchjoint.views.visibility import in_any_view
 
 #: Seeds of generated streets on which settings may be chosen, and of those that check them.
 SEEDS = {"develop": range(10), "check": range(10, 20)}

@@ -17,7 +17,7 @@ from torchjoint_lab.synthetic import make_scene
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.config import VisibilityConfig
 from torchjoint.views import visibility
-from torchjoint.views.projection import project
+from torchjoint.views.visibility import project
 
 #: By name: the config, and the factor on the radius of hidden point removal's sphere.
 METHODS = {

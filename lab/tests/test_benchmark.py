@@ -26,8 +26,7 @@ from torchjoint_lab.regions import PRESETS, RegionsConfig, segmenter
 
 import torchjoint as tj
 from torchjoint.config import presets
-from torchjoint.views.projection import in_any_view
-from torchjoint.views.visibility import Visible
+from torchjoint.views.visibility import Visible, in_any_view
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.figures import overview
 from torchjoint.results.folder import read_points
 from torchjoint.results.output_folder import output_folder
-from torchjoint.views.projection import project
+from torchjoint.views.visibility import project
 
 SMALL = ["--set", "paper.min_size=20", "image_segments.min_size=20"]
 

@@ -3,8 +3,7 @@ import torch
 
 from torchjoint.config import VisibilityConfig
 from torchjoint.views import visibility
-from torchjoint.views.projection import project
-from torchjoint.views.visibility import hidden_point_removal, visible_points
+from torchjoint.views.visibility import hidden_point_removal, project, visible_points
 
 METHODS = ["zbuffer", "hidden_point_removal"]
 SIZE = (48, 64)

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.cloud._vectors import by_columns, dot, length, rounded_length, rows_of
-from torchjoint.cloud.normals import angle_between, is_convex
+from torchjoint.cloud.normals import angle_between, by_columns, dot, is_convex, length, rounded_length, rows_of
 from torchjoint.runtime.threads import parallel_map
 
 #: Number of edges processed at a time, so that intermediate results of large clouds need little memory.

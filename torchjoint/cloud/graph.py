@@ -10,10 +10,9 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.cloud._vectors import dot
 from torchjoint.cloud.local import LocalFrame
 from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors, neighbor_tables
-from torchjoint.cloud.normals import estimate_normals
+from torchjoint.cloud.normals import dot, estimate_normals
 from torchjoint.cloud.scales import Scales
 from torchjoint.runtime.threads import all_threads
 from torchjoint.scene import Cloud

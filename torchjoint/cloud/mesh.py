@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint.cloud._vectors import rounded_length
+from torchjoint.cloud.normals import rounded_length
 
 
 def face_edges(faces: Tensor) -> Tensor:

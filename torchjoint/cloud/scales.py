@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.cloud._vectors import dot
 from torchjoint.cloud.local import merged_points
 from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.cloud.normals import dot
 from torchjoint.ops.internal import region_planes
 from torchjoint.runtime.threads import all_threads, parallel_map
 from torchjoint.scene import Cloud

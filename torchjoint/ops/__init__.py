@@ -7,7 +7,6 @@ Operators that only this package calls are in :mod:`torchjoint.ops.internal`; th
 simple Python version of each operator is in ``tests/reference/``.
 """
 
-from torchjoint.ops import _extension  # noqa: F401  must come first: it registers the operators
 from torchjoint.ops.graphs import connected_components, felzenszwalb, merge_regions, min_cut, region_dendrogram
 from torchjoint.ops.images import felzenszwalb_image, propagate_labels, ultrametric_contours
 from torchjoint.ops.points import fit_normals, nearest_neighbors, neighbor_edges, project, splat_depth

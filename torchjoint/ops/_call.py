@@ -1,15 +1,39 @@
-"""Calls compiled kernels, with errors of the same types in every version of torch; registers their fake kernels."""
+"""Loads the compiled extension; calls its kernels, with errors of the same types in every version of torch."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchjoint.runtime.messages import is_out_of_memory
+
+
+def _missing_extension(error: ImportError) -> str:
+    """The error message if torchjoint._C does not load."""
+    package = Path(__file__).parents[1]
+    checkout = package.parent
+    if (checkout / "pyproject.toml").is_file() and not list(package.glob("_C*")):
+        return (
+            f"this is the source folder of torchjoint, {package}, and it holds no compiled extension. Python finds it "
+            "before an installed torchjoint because you are in its checkout. Leave the checkout (cd ..) to use the "
+            f"installed one, or compile here: pip install -e '{checkout}'"
+        )
+    return (
+        "the compiled extension torchjoint._C is missing or does not load: install the package again with "
+        f"`pip install torchjoint`, with torch >= 2.10. The cause: {error}"
+    )
+
+
+try:
+    import_module("torchjoint._C")
+except ImportError as error:
+    raise ImportError(_missing_extension(error)) from error
 
 #: Integers beyond this do not fit an argument of a kernel.
 LIMIT = 1 << 63

@@ -8,7 +8,7 @@ from torchjoint.config import Config
 from torchjoint.scene import Scene
 from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.scene.scene import voxel_subsample
-from torchjoint.views.projection import in_any_view
+from torchjoint.views.visibility import in_any_view
 
 
 @dataclass(frozen=True)

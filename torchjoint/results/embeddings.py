@@ -20,7 +20,7 @@ from torchjoint.runtime.files import atomic_write, no_link
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Scene, Segmentation
-from torchjoint.views.projection import project
+from torchjoint.views.visibility import project
 
 
 @dataclass(frozen=True)

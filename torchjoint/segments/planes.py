@@ -9,10 +9,9 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.cloud._vectors import rows_of
 from torchjoint.cloud.edge_weights import EdgeWeights, geometric_weights, map_edges, segmentator_turn
 from torchjoint.cloud.graph import PointGraph
-from torchjoint.cloud.normals import angle_between, is_convex
+from torchjoint.cloud.normals import angle_between, is_convex, rows_of
 from torchjoint.ops.internal import region_planes
 from torchjoint.runtime.threads import all_threads
 

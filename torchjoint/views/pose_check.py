@@ -21,8 +21,7 @@ from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene
 from torchjoint.scene.frame import CONVENTIONS, PoseDoubt, PoseWarning
 from torchjoint.scene.scene import evenly_spaced_indices
-from torchjoint.views.projection import Projection, project
-from torchjoint.views.visibility import visible_points
+from torchjoint.views.visibility import Projection, project, visible_points
 
 #: Shifts in twelve directions, as shares of the image's longer side.
 COLOR_SHIFTS = [

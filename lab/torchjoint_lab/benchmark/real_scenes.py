@@ -22,7 +22,7 @@ from torchjoint.datasets.formats.folder import read_frames
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.scene import voxel_subsample
-from torchjoint.views.projection import in_any_view
+from torchjoint.views.visibility import in_any_view
 from torchjoint_lab.benchmark.robustness_scenes import THINNED
 from torchjoint_lab.datasets.semantickitti import read_sweep
 from torchjoint_lab.evaluation.partial_truth import PartialTruth

@@ -13,7 +13,7 @@ import torch
 from torchjoint.config import Config
 from torchjoint.scene import Scene
 from torchjoint.scene.scene import voxel_subsample
-from torchjoint.views.projection import in_any_view
+from torchjoint.views.visibility import in_any_view
 from torchjoint_lab.datasets.scenes import list_scenes, load_scene
 from torchjoint_lab.synthetic import DOMAINS, make_domain_scene, make_scene
 

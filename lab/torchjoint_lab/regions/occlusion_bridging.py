@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.cloud._vectors import dot, length, rows_of
+from torchjoint.cloud.normals import dot, length, rows_of
 from torchjoint.runtime.groups import starts_group
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.planes import Planes

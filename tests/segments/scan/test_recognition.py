@@ -12,7 +12,7 @@ from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.datasets.files.clouds import read_scan
 from torchjoint.scene.scene import voxel_subsample
 from torchjoint.segments.scan.recognition import find_rings
-from torchjoint.views.projection import in_any_view
+from torchjoint.views.visibility import in_any_view
 
 BOXES = (((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1)), ((-16.0, -2.0, -HEIGHT), (-12.0, 0.5, 0.0)))
 

@@ -18,7 +18,7 @@ from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT, height_over_ground
 from torchjoint.segments.scan.method import segment_levels, segment_scan, with_near_rings
 from torchjoint.segments.scan.recognition import Rings, directions
-from torchjoint.views.projection import in_any_view
+from torchjoint.views.visibility import in_any_view
 
 BOXES = (
     ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1)),

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from torchjoint.cloud._vectors import dot, length
+from torchjoint.cloud.normals import dot, length
 from torchjoint.segments.learned.images import image_agreement
 from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.region_statistics import (

@@ -16,9 +16,8 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.cloud._vectors import dot
 from torchjoint.cloud.graph import PointGraph
-from torchjoint.cloud.normals import estimate_normals
+from torchjoint.cloud.normals import dot, estimate_normals
 from torchjoint.cloud.scales import Scales
 from torchjoint.ops.internal import WEIGHT_UNIT, mask_merges
 from torchjoint.runtime.groups import members_of_groups, most_frequent, numbers_by_first_place

@@ -15,13 +15,13 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from torchjoint.cloud._vectors import dot, length
+from torchjoint.cloud.normals import dot, length
 from torchjoint.cloud.scales import Scales
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.learned.region_statistics import RegionStatistics, color_contrasts, sum_by
 from torchjoint.views.observations import Observation
 from torchjoint.views.occluders import DEPTH_STEP, STEP_IN_NOISE, CoarseZBuffer
-from torchjoint.views.projection import nearest_pixel, project
+from torchjoint.views.visibility import nearest_pixel, project
 
 # These numbers were chosen on table-tops of mOSD and on generated scenes (seeds 0 to 3). DEPTH_STEP was chosen on one
 # table-top of the half that is used for scores, so these scores are too good for this step.

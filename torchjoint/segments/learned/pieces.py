@@ -12,10 +12,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.cloud._vectors import dot, length, rows_of
 from torchjoint.cloud.edge_weights import EDGES, map_edges
 from torchjoint.cloud.graph import PointGraph, orient_normals
-from torchjoint.cloud.normals import angle_between, is_convex
+from torchjoint.cloud.normals import angle_between, dot, is_convex, length, rows_of
 from torchjoint.cloud.scales import Scales
 from torchjoint.images.segmenter import brightened
 from torchjoint.runtime.memory import give_back

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.cloud._vectors import dot, length
+from torchjoint.cloud.normals import dot, length
 
 
 def sum_by(group: Tensor, values: Tensor, num_groups: int) -> Tensor:

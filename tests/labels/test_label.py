@@ -6,7 +6,7 @@ import torch
 import torchjoint as tj
 from torchjoint.labels import geodesic
 from torchjoint.labels.geodesic import PieceNumbers, propagate, propagate_pieces
-from torchjoint.labels.piece_images import piece_image
+from torchjoint.labels.label import piece_image
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 
