@@ -18,8 +18,9 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.files.text import read_record
 from torchjoint.datasets.formats.scannetpp import truth_files
-from torchjoint.datasets.scannet_truth import OBJECTS, point_instances, read_object_classes
+from torchjoint.datasets.truth import OBJECTS, object_id, point_instances
 from torchjoint.runtime.foreign_files import has_file, read_text
 
 Name = Literal["scannetv2", "scannet200", "scannetpp"]
@@ -115,6 +116,12 @@ def counted(truth: Tensor, scan: Path, name: Name, table: Path) -> Tensor:
     of_object = read_object_classes(folder / f"{stem}{OBJECTS}")
     kept = [one for one, category in of_object.items() if class_of.get(category) in classes]
     return torch.where(torch.isin(truth, torch.tensor(kept, dtype=torch.int64)), truth, -1)
+
+
+def read_object_classes(objects_file: Path) -> dict[int, str]:
+    """Reads the raw category of each annotated object, by its objectId."""
+    groups = read_record(objects_file, "segments of objects").records("segGroups")
+    return {object_id(group): group.text("label") for group in groups}
 
 
 def _counted_of_scannetpp(num_points: int, scan: Path, table: Path) -> Tensor:

@@ -21,11 +21,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.boxes import instances_in_boxes
-from torchjoint.datasets.cameras import Camera, interpolate_poses, pinhole_matrix
+from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole
 from torchjoint.datasets.files.readers import read_depth, read_image
-from torchjoint.datasets.files.text import parse_numbers, read_lines, read_record
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_left_out
+from torchjoint.datasets.files.text import parse_numbers, read_record, read_rows, read_timed_rows
+from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames, tell_left_out
+from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
@@ -84,16 +84,7 @@ def _read_poses(file: Path, times: list[float]) -> list[Tensor | None]:
     """Camera-to-world poses at these times."""
     from scipy.spatial.transform import Rotation
 
-    rows = {}
-    for name, line in read_lines(file, "lines of a time, an axis and angle, and a translation"):
-        values = parse_numbers(line.split(), name)
-        if values:
-            if len(values) != 7:
-                raise ValueError(f"{name}: expected 7 numbers, got {len(values)}")
-            rows[values[0]] = values
-    if not rows:
-        raise ValueError(f"{file}: expected lines of 7 numbers, got none")
-    table = np.array([rows[time] for time in sorted(rows)])
+    table = read_timed_rows(file, "7 numbers", 7)
     to_world = Rotation.from_rotvec(table[:, 1:4]).inv()
     centers = -to_world.apply(table[:, 4:])
     poses = np.concatenate([table[:, :1], centers, to_world.as_quat()], axis=1)
@@ -104,12 +95,11 @@ def _camera(folder: Path, stem: str) -> Camera:
     identifier, _, time = stem.rpartition("_")
     near = (f"{identifier}_{float(time) + shift:.3f}.pincam" for shift in (0, -STEP, STEP))
     file = next((folder / name for name in near if has_file(folder / name)), folder / f"{stem}.pincam")
-    lines = [parse_numbers(line.split(), name) for name, line in read_lines(file, "width height fx fy cx cy")]
-    numbers = [number for line in lines for number in line]
-    if len(numbers) != 6:
-        raise ValueError(f"{file}: expected width height fx fy cx cy, got {len(numbers)} numbers")
-    width, height, fx, fy, cx, cy = numbers
-    return Camera(pinhole_matrix(fx, fy, cx, cy), (round(height), round(width)), name=str(file))
+    rows = read_rows(file, "width height fx fy cx cy", 6)
+    if len(rows) != 1:
+        raise ValueError(f"{file}: expected one line of width height fx fy cx cy, got {len(rows)}")
+    width, height, *numbers = rows[0][1]
+    return pinhole([*numbers, width, height], str(file))
 
 
 def _instances(file: Path, points: Tensor) -> Tensor:

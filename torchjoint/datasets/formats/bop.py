@@ -20,14 +20,13 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.cameras import Camera, checked_pose, invert_pose
 from torchjoint.datasets.files.readers import read_image_size, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
-from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene, Truth
-from torchjoint.scene.checks import as_pose
 
 WHAT = "scene_camera.json with rgb/ or gray/ (BOP)"
 #: Largest distance between the positions of one object according to two images, metres.
@@ -71,10 +70,8 @@ def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> Shot:
 
 
 def _pose(record: Record, rotation: str, translation: str) -> Tensor:
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = record.numbers(rotation, 9).view(3, 3)
-    pose[:3, 3] = record.numbers(translation, 3) / 1000
-    return as_pose(pose, f"{record.name}: {rotation}, {translation}")
+    pose = torch.cat([record.numbers(rotation, 9).view(3, 3), record.numbers(translation, 3)[:, None] / 1000], 1)
+    return checked_pose(pose, f"{record.name}: {rotation}, {translation}")
 
 
 def _truth(path: Path, shots: Sequence[Shot]) -> Truth | None:

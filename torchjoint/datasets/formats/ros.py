@@ -26,11 +26,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.cameras import Camera, invert_pose
 from torchjoint.datasets.files.ros_bag import SUFFIXES, Bag, Stamp
 from torchjoint.datasets.files.ros_messages import (
     COMPRESSED,
     IMAGE,
+    ODOMETRY,
+    Poses,
     camera,
     cloud_points,
     color_image,
@@ -39,8 +41,7 @@ from torchjoint.datasets.files.ros_messages import (
     is_depth,
 )
 from torchjoint.datasets.formats.tum import associate
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_left_out
-from torchjoint.datasets.ros_poses import ODOMETRY, Poses
+from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames, tell_left_out
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene

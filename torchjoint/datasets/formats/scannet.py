@@ -18,23 +18,23 @@ cameras nor SCAN.txt's axis alignment are applied.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import register_depth
+from torchjoint.datasets.cameras import register_depth, stretch_intrinsics, world_to_camera
 from torchjoint.datasets.files.readers import read_depth, read_image, read_matrix
 from torchjoint.datasets.files.sens import SensFile
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, read_shots, scene_of_frames, tell_left_out
-from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_cameras
-from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
-from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
+from torchjoint.datasets.recording import Options, find_cloud, read_shots, scene_of_frames, sorted_images, tell_left_out
+from torchjoint.datasets.truth import image_instances, vertex_instances
+from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, or_unreadable, read_text
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene.checks import as_pose
+from torchjoint.scene.checks import as_intrinsics
 
 WHAT = "SCAN.sens, or SCAN_vh_clean_2.ply, or color/, pose/ and intrinsic/, in a folder called SCAN (ScanNet)"
 CLOUD = "_vh_clean_2.ply"
@@ -56,8 +56,8 @@ def load(path: Path, options: Options) -> Scene:
     frames = _read_frames(folder, scan)
     cloud = folder / f"{scan}{CLOUD}"
     scene = scene_of_frames(folder, frames, options, [cloud])
-    is_annotated = find_cloud(folder, options, [cloud]) == cloud and has_point_instances(folder, scan)
-    points = read_point_instances(folder, scan, len(scene.points)) if is_annotated else None
+    is_own = find_cloud(folder, options, [cloud]) == cloud
+    points = vertex_instances(folder, scan, len(scene.points)) if is_own else None
     images = image_instances(folder, scan, frames)
     return replace(scene, name=scan, truth=Truth(points, images) if points is not None or images else None)
 
@@ -71,29 +71,20 @@ def scenes(path: Path) -> dict[str, Path]:
 
 def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
     if has_file(folder / f"{scan}.sens"):
-        return _stream_frames(SensFile(folder / f"{scan}.sens"))
+        stream = SensFile(folder / f"{scan}.sens")
+        cameras = Cameras(
+            Calibration(stream.color_intrinsics, (stream.color_size,)),
+            Calibration(stream.depth_intrinsics, (stream.depth_size,)),
+        )
+        poses = [(f"{stream.path}, pose of frame {i}", pose) for i, pose in enumerate(stream.poses)]
+        names = [str(i) for i in range(len(stream))]
+        return _frames(stream.path, names, poses, cameras, lambda i: (stream.color(i), stream.depth(i)))
     if not has_frames(folder):
         return read_shots(())
-    cameras = find_cameras(folder, folder / f"{scan}.txt")
-    if cameras is None:
+    found = find_cameras(folder, folder / f"{scan}.txt")
+    if found is None:
         raise FileNotFoundError(f"{folder}/intrinsic/intrinsic_color.txt: missing, and {scan}.txt has no calibration")
-    return read_frames(folder, cameras)
-
-
-def _stream_frames(stream: SensFile) -> LazySequence[Frame]:
-    cameras = Cameras(
-        Calibration(stream.color_intrinsics, (stream.color_size,)),
-        Calibration(stream.depth_intrinsics, (stream.depth_size,)),
-    )
-    kept = torch.isfinite(stream.poses).all(dim=(1, 2)).nonzero().flatten().tolist()
-    tell_left_out(str(stream.path), len(stream) - len(kept), len(stream))
-    extrinsics = [invert_pose(as_pose(stream.poses[i], f"{stream.path}, pose of frame {i}")) for i in kept]
-
-    def read(place: int) -> Frame:
-        i = kept[place]
-        return make_frame(str(i), stream.color(i), stream.depth(i), cameras, extrinsics[place])
-
-    return LazySequence(len(kept), read, [str(i) for i in kept])
+    return read_frames(folder, found)
 
 
 def has_frames(folder: Path) -> bool:
@@ -111,31 +102,40 @@ def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
         folder: holds color/, pose/ and (optional) depth/.
         cameras: colour and depth cameras.
     """
-    images = sorted(
-        (file for file in (folder / "color").iterdir() if file.suffix.lower() in _SUFFIXES),
-        key=lambda file: _order(file.stem),
-    )
-    stems = [file.stem for file in images]
-    if len(set(stems)) < len(stems):
-        twice = next(stem for stem in stems if stems.count(stem) > 1)
-        raise ValueError(f"{folder / 'color'}: frame {twice!r} has two colour images")
+    files = (file for file in (folder / "color").iterdir() if file.suffix.lower() in _SUFFIXES)
+    images = sorted_images(folder / "color", files)
     return frames_of(folder, images, cameras, (folder / "pose", folder / "depth"))
 
 
 def frames_of(folder: Path, images: Sequence[Path], cameras: Cameras, beside: tuple[Path, Path]) -> LazySequence[Frame]:
     """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
-    pose_files = [beside[0] / f"{file.stem}.txt" for file in images]
-    poses = [read_matrix(file, (4, 4)) for file in pose_files]
-    kept = [i for i, pose in enumerate(poses) if torch.isfinite(pose).all()]
-    tell_left_out(str(folder), len(images) - len(kept), len(images))
-    extrinsics = {i: invert_pose(as_pose(poses[i], str(pose_files[i]))) for i in kept}
+    names = [file.stem for file in images]
+    files = [beside[0] / f"{name}.txt" for name in names]
 
-    def read(place: int) -> Frame:
-        file, pose = images[kept[place]], extrinsics[kept[place]]
-        depth = beside[1] / f"{file.stem}.png"
-        return make_frame(file.stem, read_image(file), read_depth(depth) if has_file(depth) else None, cameras, pose)
+    def read(index: int) -> tuple[Tensor, Tensor | None]:
+        depth = beside[1] / f"{names[index]}.png"
+        return read_image(images[index]), read_depth(depth) if has_file(depth) else None
 
-    return LazySequence(len(kept), read, [images[i].stem for i in kept])
+    return _frames(folder, names, [(str(file), read_matrix(file, (4, 4))) for file in files], cameras, read)
+
+
+def _frames(
+    source: Path,
+    names: Sequence[str],
+    poses: Sequence[tuple[str, Tensor]],
+    cameras: Cameras,
+    read: Callable[[int], tuple[Tensor, Tensor | None]],
+) -> LazySequence[Frame]:
+    """The frames with finite poses; each pose has its name for messages; `read` gives colours and depth of a frame."""
+    kept = [i for i, (_, pose) in enumerate(poses) if torch.isfinite(pose).all()]
+    tell_left_out(str(source), len(poses) - len(kept), len(poses))
+    extrinsics = {i: world_to_camera(poses[i][1], poses[i][0]) for i in kept}
+
+    def frame(place: int) -> Frame:
+        i = kept[place]
+        return make_frame(names[i], *read(i), cameras, extrinsics[i])
+
+    return LazySequence(len(kept), frame, [names[i] for i in kept])
 
 
 def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras, world_to_camera: Tensor) -> Frame:
@@ -150,6 +150,89 @@ def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras,
     return Frame(image, intrinsics, world_to_camera, depth=depth, name=name)
 
 
-def _order(stem: str) -> tuple[int, str]:
-    """Sort key: by number, 2 before 10."""
-    return (int(stem) if stem.isascii() and stem.isdigit() else -1, stem)
+Size = tuple[int, int]
+
+#: (H, W) of the sensor's images in nearly all scans.
+COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Intrinsics [3, 3], pixel centres at integer coordinates, and the image size (H, W) to which they apply.
+
+    If `is_certain` is False, the size is chosen from `sizes` and the size of the actual images: the size
+    whose centre is nearest to the principal point.
+    """
+
+    intrinsics: Tensor
+    sizes: tuple[Size, ...]
+    is_certain: bool = True
+
+    def scaled_to(self, size: Size) -> Tensor:
+        """Returns the intrinsics [3, 3] float64 of images that were resized to (H, W), each axis independently."""
+        known = self.sizes if self.is_certain else (size, *self.sizes)
+        old = min(known, key=self._off_center)
+        return stretch_intrinsics(self.intrinsics, old, size)
+
+    def _off_center(self, size: Size) -> float:
+        x, y = self.intrinsics[:2, 2].tolist()
+        return abs((x + 0.5) / size[1] - 0.5) + abs((y + 0.5) / size[0] - 0.5)
+
+
+class Cameras(NamedTuple):
+    """Calibrations of the colour and the depth images."""
+
+    color: Calibration
+    depth: Calibration
+
+
+def find_cameras(folder: Path, info: Path) -> Cameras | None:
+    """Finds the cameras of a folder of exported frames; None if no file has a calibration.
+
+    Args:
+        folder: may hold intrinsic/intrinsic_color.txt and intrinsic/intrinsic_depth.txt, 4x4, as ScanNet's exporter
+            writes them. Without the second file, the first is also used for depth, because ScanNet's depth is warped to
+            the colour camera's view. They apply either to the sensor's resolution, which the files do not give, or to
+            the images, if the calibration was scaled with them.
+        info: ScanNet's SCAN.txt, which gives the sensor's calibration and resolution, but less exactly.
+    """
+    color = folder / "intrinsic" / "intrinsic_color.txt"
+    if has_file(color):
+        depth = color.with_name("intrinsic_depth.txt")
+        of_color = read_calibration(color)
+        return Cameras(of_color, read_calibration(depth) if has_file(depth) else of_color)
+    return _read_info(info) if has_file(info) else None
+
+
+def read_calibration(file: Path) -> Calibration:
+    """Reads a file of 4x4 or 3x3 numbers."""
+    side = 3 if len(read_text(file, "a description", errors="replace").replace(",", " ").split()) == 9 else 4
+    matrix = as_intrinsics(read_matrix(file, (side, side))[:3, :3], str(file))
+    return Calibration(matrix, (COLOR_SIZE, DEPTH_SIZE), is_certain=False)
+
+
+def _read_info(path: Path) -> Cameras | None:
+    """Reads lines such as "fx_color = 1170.187988"; None if the file has no calibration.
+
+    Depth images are warped to the colour camera's view, so the scaled colour calibration holds for depth, too.
+    The file's fx_depth does not: it describes the sensor before warping (https://github.com/ScanNet/ScanNet/issues/92).
+    """
+    try:
+        lines = [line.partition("=") for line in read_text(path, "a description of a scan").splitlines()]
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: expected lines of text, got {error}") from error
+    values = dict_of([(name.strip(), value.strip()) for name, _, value in lines if value], f"{path}: line")
+    if "fx_color" not in values:
+        return None
+    names = ("fx_color", "fy_color", "mx_color", "my_color", "colorHeight", "colorWidth")
+    try:
+        fx, fy, cx, cy, height, width = (float(values[name]) for name in names)
+    except KeyError as error:
+        raise ValueError(f"{path}: expected a line {error.args[0]} = ..., as there is one of fx_color") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: expected numbers, got {error}") from error
+    if not (1 <= height <= 2**16 and 1 <= width <= 2**16):
+        raise ValueError(f"{path}: expected an image size in pixels, got colorWidth {width:g}, colorHeight {height:g}")
+    matrix = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
+    both = Calibration(as_intrinsics(matrix, f"{path}, colour"), ((int(height), int(width)),))
+    return Cameras(both, both)

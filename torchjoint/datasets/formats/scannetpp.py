@@ -21,24 +21,22 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from torchjoint.datasets.cameras import Camera
-from torchjoint.datasets.files.colmap_model import ColmapImage, has_model, read_images
+from torchjoint.datasets.cameras import Camera, world_to_camera
 from torchjoint.datasets.files.text import read_record
+from torchjoint.datasets.formats.colmap import ColmapImage, has_model, read_images
 from torchjoint.datasets.formats.nerfstudio import read_camera
 from torchjoint.datasets.recording import (
     Options,
     Shot,
     find_cloud,
-    invert_pose,
     read_shots,
     scene_of_frames,
     tell_unlisted,
 )
-from torchjoint.datasets.scannet_truth import point_instances
+from torchjoint.datasets.truth import point_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene.checks import as_pose
 
 WHAT = "scans/mesh_aligned_0.05.ply, dslr/colmap/ with images, or iphone/ with rgb/ (ScanNet++)"
 MESH, SEGMENTS, OBJECTS = "mesh_aligned_0.05.ply", "segments.json", "segments_anno.json"
@@ -119,9 +117,9 @@ def _read_shots(file: Path) -> list[ColmapImage]:
     values, shots = read_record(file, "poses of an iPhone"), []
     for name in sorted(values.values):
         frame = values.record(name)
-        pose = as_pose(frame.matrix("aligned_pose", 4), f"{frame.name}: aligned_pose")
+        pose = world_to_camera(frame.matrix("aligned_pose", 4), f"{frame.name}: aligned_pose")
         camera = Camera(frame.matrix("intrinsic", 3), PHONE_SIZE, name=frame.name)
-        shots.append(ColmapImage(f"{name}.jpg", camera, invert_pose(pose)))
+        shots.append(ColmapImage(f"{name}.jpg", camera, pose))
     if not shots:
         raise ValueError(f"{file}: expected poses of frames, got none")
     return shots

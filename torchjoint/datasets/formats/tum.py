@@ -25,12 +25,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera, interpolate_poses, pinhole_matrix
+from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole_matrix
 from torchjoint.datasets.files.readers import read_matrix
-from torchjoint.datasets.files.text import frame_names, parse_numbers, path_inside, read_lines
-from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames, tell_unlisted
+from torchjoint.datasets.files.text import frame_names, parse_numbers, path_inside, read_lines, read_timed_rows
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
@@ -69,7 +68,9 @@ def read_frames(path: Path) -> Sequence[Frame]:
     colors = _read_files(path / "rgb.txt")
     depths = _read_files(path / "depth.txt") if has_file(path / "depth.txt") else []
     depth_of = dict(associate([file.time for file in colors], [file.time for file in depths]))
-    poses = _read_poses(path / "groundtruth.txt", [file.time for file in colors])
+    track = path / "groundtruth.txt"
+    rows = read_timed_rows(track, "timestamp tx ty tz qx qy qz qw", 8)
+    poses = interpolate_poses(rows, np.array([file.time for file in colors]), TOLERANCE, str(track))
     kept = [(index, pose) for index, pose in enumerate(poses) if pose is not None]
     if not kept:
         raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
@@ -123,22 +124,6 @@ def _read_files(path: Path) -> list[_File]:
         time = parse_numbers(words[:1], name)[0]
         files.setdefault(time, _File(time, path_inside(path.parent, words[1], name)))
     return [files[time] for time in sorted(files)]
-
-
-def _read_poses(path: Path, wanted: Sequence[float]) -> list[Tensor | None]:
-    """Camera-to-world poses [4, 4] at the wanted times; None if no pose is near enough in time."""
-    rows: dict[float, list[float]] = {}
-    for name, line in read_lines(path, "lines of timestamp tx ty tz qx qy qz qw"):
-        values = parse_numbers(line.replace(",", " ").split(), name)
-        if not values:
-            continue
-        if len(values) != 8:
-            raise ValueError(f"{name}: expected timestamp tx ty tz qx qy qz qw, got {len(values)} numbers")
-        rows.setdefault(values[0], values)
-    if not rows:
-        raise ValueError(f"{path}: expected lines of timestamp tx ty tz qx qy qz qw, got none")
-    in_order = np.array([rows[time] for time in sorted(rows)])
-    return interpolate_poses(in_order, np.array(wanted), TOLERANCE, str(path))
 
 
 def _camera(path: Path) -> Camera:
