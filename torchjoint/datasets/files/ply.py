@@ -18,7 +18,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import COLORS, CloudFile, cloud_of, plain
+from torchjoint.datasets.files.columns import COLORS, CloudFile, cloud_of, plain, typed
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
@@ -354,7 +354,7 @@ def _ascii_rows(text: bytes, element: Element) -> Columns:
     for one in element.properties:
         length = 1
         if one.length is not None and place < count:
-            lengths = _converted(values[:, place], one.length, one.name).astype(np.int64)
+            lengths = typed(values[:, place], one.length, f"property {one.name}", element.name).astype(np.int64)
             length, place = int(lengths[0]) if len(lengths) else 0, place + 1
             if (lengths != length).any():
                 break
@@ -362,7 +362,7 @@ def _ascii_rows(text: bytes, element: Element) -> Columns:
         place += length
         if length < 0 or place > count:
             break
-        read = _converted(own.ravel(), one.kind, one.name)
+        read = typed(own.ravel(), one.kind, f"property {one.name}", element.name)
         columns[one.name] = read if one.length is None else Lists(read, lengths)
     if len(values) == element.rows and (place == count or not element.rows):
         return columns
@@ -388,7 +388,7 @@ def _lines_of_several_lengths(text: bytes, element: Element) -> Columns:
         for one in element.properties:
             length = 1
             if one.length is not None:
-                read = _converted(np.array(words[place : place + 1]), one.length, one.name)
+                read = typed(np.array(words[place : place + 1]), one.length, f"property {one.name}", element.name)
                 length, place = int(read[0]) if len(read) else 1, place + 1
                 lengths[one.name].append(length)
             if not 0 <= length <= len(words) - place:
@@ -399,19 +399,9 @@ def _lines_of_several_lengths(text: bytes, element: Element) -> Columns:
             raise ValueError(f"element {element.name}: expected {place} numbers in {line[:80]!r}")
     columns: dict[str, Array | Lists] = {}
     for one in element.properties:
-        values = _converted(np.array(found[one.name]), one.kind, one.name)
+        values = typed(np.array(found[one.name]), one.kind, f"property {one.name}", element.name)
         columns[one.name] = values if one.length is None else Lists(values, np.array(lengths[one.name], np.int64))
     return columns
-
-
-def _converted(values: npt.NDArray[np.float64], kind: str, name: str) -> Array:
-    """Numbers from text in the type of their property; integers must fit into it."""
-    dtype = np.dtype(kind)
-    with np.errstate(over="ignore", invalid="ignore"):
-        converted = values.astype(dtype, copy=False)
-    if dtype.kind != "f" and (converted != values).any():  # also of NaN
-        raise ValueError(f"property {name}: expected integers of {dtype.itemsize * 8} bits")
-    return converted
 
 
 class PlyRecords(NamedTuple):
