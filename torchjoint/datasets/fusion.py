@@ -62,9 +62,6 @@ def fuse_cloud(
         coordinates: the order is deterministic. Colours have 8 bits, so that the cloud is the same after it was written
         to a file and read back.
 
-    Raises:
-        ValueError: no frame has depth, or it has another unit, or it gives no surface, or one that is too large.
-
     Warns:
         PoseWarning: the poses do not fit, and another convention does.
         UserWarning: some frames have no depth.

@@ -61,9 +61,6 @@ def read_cloud_file(
         invalid: what becomes of points that are NaN or infinite; a mesh loses the triangles of such points. "keep"
             keeps beams without return, too: many points at (0, 0, 0), which are left out otherwise, with a warning.
         least_opacity: fainter Gaussian splats are left out, with a warning.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
     """
     read = _read(path, columns)
     beams: Beams = "keep" if invalid == "keep" or read.faces is not None else "drop many"

@@ -114,11 +114,7 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
 
 
 def las_chunks(reader: Any, path: Path, count: int = CHUNK) -> Iterator[Any]:
-    """The points of an open file in their order, `count` at a time, as laspy's records.
-
-    Raises:
-        ValueError: a damaged or truncated file.
-    """
+    """The points of an open file in their order, `count` at a time, as laspy's records."""
     left = reader.header.point_count
     while left > 0:
         with _clear_errors(path):

@@ -289,12 +289,7 @@ class Parts:
         self._names: set[str] = set()
 
     def get(self, name: str) -> bytes:
-        """The bytes of a file.
-
-        Raises:
-            FileNotFoundError: there is no such file inside the folder.
-            ValueError: it cannot be read, or is a texture of no known format.
-        """
+        """The bytes of a file."""
         try:
             data = self._read(name)
             # A library of materials is read once; the second time it is named as a texture.

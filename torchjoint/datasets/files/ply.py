@@ -94,12 +94,7 @@ Columns = Mapping[str, "Array | Lists"]
 
 
 def read_ply(path: Path) -> CloudFile:
-    """Reads the vertices and faces of a PLY file; of other elements only the size is checked.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error; sizes in the header are compared
-            with the file's size before memory is allocated.
-    """
+    """Reads the vertices and faces of a PLY file; of other elements only the size is checked."""
     elements = _read_elements(path)
     with damage_is(str(path)):
         return _assembled(elements, str(path))
@@ -280,14 +275,23 @@ def _binary_rows(data: bytes, place: int, element: Element, order: str) -> tuple
     if element.lists and element.rows:
         first, _ = _rows_of_several_lengths(data, place, element._replace(rows=1), order)
         lengths = {name: int(lists.lengths[0]) for name, lists in first.items() if isinstance(lists, Lists)}
+    rows = _rows_of_one_length(data, place, element, order, lengths)
+    if rows is None:
+        return _rows_of_several_lengths(data, place, element, order)
+    columns: dict[str, Array | Lists] = {one.name: rows[one.name] for one in element.properties}
+    columns |= {name: Lists(rows[name].ravel(), np.full(len(rows), length)) for name, length in lengths.items()}
+    return columns, place + rows.nbytes
+
+
+def _rows_of_one_length(
+    data: bytes, place: int, element: Element, order: str, lengths: Mapping[str, int]
+) -> Array | None:
+    """The rows of an element whose lists all have these lengths; None if they do not, or the file is too short."""
     dtype = element.dtype(order, lengths)
-    if dtype.itemsize * element.rows <= len(data) - place:
-        rows = np.frombuffer(data, dtype, element.rows, place)
-        if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()):
-            columns: dict[str, Array | Lists] = {one.name: rows[one.name] for one in element.properties}
-            columns |= {name: Lists(rows[name].ravel(), np.full(len(rows), length)) for name, length in lengths.items()}
-            return columns, place + rows.nbytes
-    return _rows_of_several_lengths(data, place, element, order)
+    if dtype.itemsize * element.rows > len(data) - place:
+        return None
+    rows = np.frombuffer(data, dtype, element.rows, place)
+    return rows if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()) else None
 
 
 def _rows_of_several_lengths(data: bytes, place: int, element: Element, order: str) -> tuple[Columns, int]:
@@ -465,15 +469,12 @@ def _records_of_bytes(data: bytes, header: Header) -> tuple[dict[str, Array], by
     for element in header.elements:
         if not element.properties:
             continue
-        dtype = element.dtype(header.byte_order, dict.fromkeys(element.lists, 3))
-        if dtype.itemsize * element.rows > len(data) - place:
-            if not element.lists:
-                raise ValueError(f"truncated: element {element.name} has fewer than {element.rows} rows")
+        rows = _rows_of_one_length(data, place, element, header.byte_order, dict.fromkeys(element.lists, 3))
+        if rows is None and not element.lists:
+            raise ValueError(f"truncated: element {element.name} has fewer than {element.rows} rows")
+        if rows is None:
             break
-        rows = np.frombuffer(data, dtype, element.rows, place)
-        if any((rows[f"#{name}"] != 3).any() for name in element.lists):
-            break
-        records[element.name] = np.frombuffer(data, np.uint8, rows.nbytes, place).reshape(element.rows, dtype.itemsize)
+        records[element.name] = np.frombuffer(data, np.uint8, rows.nbytes, place).reshape(-1, rows.itemsize)
         place += rows.nbytes
     return records, data[place:]
 

@@ -39,11 +39,7 @@ def is_depth(message: Any) -> bool:
 
 
 def color_image(message: Any, name: str) -> Tensor:
-    """[3, H, W] uint8 RGB of an Image or CompressedImage.
-
-    Raises:
-        ValueError: a damaged image, or an encoding that is not known; the message begins with `name`.
-    """
+    """[3, H, W] uint8 RGB of an Image or CompressedImage."""
     if not hasattr(message, "encoding"):
         return rgb_of(decode_image(message.data.tobytes(), name), name)
     if message.encoding not in _COLORS:

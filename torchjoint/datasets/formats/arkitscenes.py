@@ -39,12 +39,10 @@ STEP = 0.001
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a recording's folder."""
     return has_folder(path) and has_file(_frames_folder(path) / TRAJECTORY)
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     folder, clouds = _frames_folder(path), [path / f"{path.name}_3dod_mesh.ply"]
     scene = scene_of_frames(path, _read_frames(folder), options, clouds)
     annotation = path / f"{path.name}_3dod_annotation.json"

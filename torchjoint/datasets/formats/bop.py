@@ -34,12 +34,10 @@ SAME_PLACE = 0.05
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder is a scene."""
     return has_folder(path) and has_file(path / "scene_camera.json")
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads a scene; see :func:`torchjoint.load_scene`."""
     shots = _read_shots(path)
     return replace(scene_of_frames(path, read_shots(shots), options), truth=_truth(path, shots))
 

@@ -19,12 +19,10 @@ WHAT = f"a point cloud or a mesh alone: {', '.join(SUFFIXES)}"
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a file that can hold a cloud. Formats of clouds with images are tried before."""
     return has_file(path) and path.suffix.lower() in SUFFIXES
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the cloud; see :func:`torchjoint.load_scene`."""
     cloud = read_cloud_file(path, invalid=options.invalid, least_opacity=options.least_opacity)
     points = cloud.points if cloud.points.is_floating_point() else cloud.points.double()
     if cloud.faces is not None and meshes.has_large_triangles(points, cloud.faces):

@@ -16,10 +16,10 @@ Images may be resized, but not cropped; lens distortion is removed. The scale of
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -38,12 +38,10 @@ _IMAGES = ("images", "images_2", "images_4", "images_8", ".")
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has a sparse model."""
     return has_folder(path) and bool(_models(path))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     models = _models(path)
     model = _largest(path, models)
     around = list(path.absolute().parents)[:2] if model == path else []
@@ -135,6 +133,7 @@ class _Row(NamedTuple):
 
 
 _Point = tuple[float, ...]  # id, position, colour
+T = TypeVar("T")
 
 
 def has_model(folder: Path) -> bool:
@@ -144,9 +143,8 @@ def has_model(folder: Path) -> bool:
 
 def read_images(folder: Path) -> list[ColmapImage]:
     """Returns the images of a model, sorted by name."""
-    cameras_file, images_file = _file(folder, "cameras"), _file(folder, "images")
-    cameras = _cameras_of_binary(cameras_file) if cameras_file.suffix == ".bin" else _cameras_of_text(cameras_file)
-    rows = _images_of_binary(images_file) if images_file.suffix == ".bin" else _images_of_text(images_file)
+    cameras_file, cameras = _read(folder, "cameras", _cameras_of_binary, _cameras_of_text)
+    images_file, rows = _read(folder, "images", _images_of_binary, _images_of_text)
     if not rows:
         raise ValueError(f"{images_file}: expected images with poses, got none")
     rows.sort(key=lambda row: row.name)
@@ -163,8 +161,7 @@ def read_images(folder: Path) -> list[ColmapImage]:
 
 def read_points(folder: Path) -> tuple[Tensor, Tensor]:
     """Returns the sparse points of a model, sorted by id: positions [N, 3] float64 and colours [N, 3] uint8."""
-    file = _file(folder, "points3D")
-    rows = _points_of_binary(file) if file.suffix == ".bin" else _points_of_text(file)
+    file, rows = _read(folder, "points3D", _points_of_binary, _points_of_text)
     if not rows:
         raise ValueError(f"{file}: expected points, got none")
     values = torch.tensor([row[1:] for row in sorted(rows)], dtype=torch.float64)
@@ -174,9 +171,10 @@ def read_points(folder: Path) -> tuple[Tensor, Tensor]:
     return values[:, :3], colors.to(torch.uint8)
 
 
-def _file(folder: Path, part: str) -> Path:
-    binary = folder / f"{part}.bin"
-    return binary if has_file(binary) else folder / f"{part}.txt"  # COLMAP, too, prefers the binary file
+def _read(folder: Path, part: str, of_binary: Callable[[Path], T], of_text: Callable[[Path], T]) -> tuple[Path, T]:
+    """The file of a part of the model, and its content; COLMAP, too, prefers the binary file."""
+    binary, text = folder / f"{part}.bin", folder / f"{part}.txt"
+    return (binary, of_binary(binary)) if has_file(binary) else (text, of_text(text))
 
 
 def _camera(model: str, width: int, height: int, parameters: Sequence[float], name: str) -> Camera:

@@ -33,12 +33,10 @@ _COLOR = (".color.jpg", ".color.jpeg", ".color.png")
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has colour frames of this format."""
     return has_folder(path) and bool(_color_files(path))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     frames = read_frames(path)
     scene = scene_of_frames(path, frames, options)
     if not options.fuse and find_cloud(path, options) is None:

@@ -33,7 +33,6 @@ WHAT = "KITTI object: velodyne/NNNNNN.bin (or image_2/NNNNNN.png) with calib/ be
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a LiDAR scan, or an image, in KITTI's folders."""
     folder = path.absolute().parent
     kinds = {("velodyne", ".bin"), ("image_2", ".png")}
     return (folder.name, path.suffix) in kinds and has_file(path) and _is_root(folder.parent)
@@ -46,7 +45,6 @@ def scenes(path: Path) -> dict[str, Path]:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads one frame; see :func:`torchjoint.load_scene`."""
     root, name = path.absolute().parent.parent, path.stem
     points = read_scan(root / "velodyne" / f"{name}.bin", 4, options.invalid)[:, :3]
     calibration = _read_calibration(root / "calib" / f"{name}.txt")

@@ -37,12 +37,10 @@ _LENSES = ("plumb_bob", "rational_polynomial", "equidistant")
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has such a cloud and camera."""
     return has_folder(path) and all(has_file(path / name) for name in ("pointcloud.pcd", "camera_info.json"))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     file = path / "pointcloud.pcd"
     cloud = read_pcd(file).cloud(str(file))
     cloud = cloud.chosen(cloud.points.isfinite().all(1))

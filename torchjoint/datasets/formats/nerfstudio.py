@@ -44,7 +44,6 @@ _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a transforms.json, or a folder with one."""
     is_file = path.suffix == ".json" and path.name.startswith("transforms")
     return has_file(path) if is_file else has_file(path / "transforms.json")
 
@@ -55,7 +54,6 @@ def scenes(path: Path) -> dict[str, Path]:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the scene; see :func:`torchjoint.load_scene`."""
     file = path / "transforms.json" if has_folder(path) else path
     record = read_record(file, "poses as of nerfstudio")
     clouds = [_inside(file, record, "ply_file_path")] if "ply_file_path" in record else []

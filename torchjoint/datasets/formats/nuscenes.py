@@ -35,12 +35,10 @@ WHAT = "a sample of nuScenes: sample.json (MMDetection3D) with its scan and imag
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has a sample.json."""
     return has_folder(path) and has_file(path / "sample.json")
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the sample; see :func:`torchjoint.load_scene`."""
     sample = read_record(path / "sample.json", "a sample of nuScenes")
     lidar = sample.record("lidar")
     columns = lidar.number("num_pts_feats")

@@ -30,12 +30,10 @@ WHAT = "keyframes/ with corrected_images/ and corrected_cameras/, or images/ and
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is an exported folder."""
     return has_folder(path) and any((path / "keyframes").glob("*cameras/*.json"))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     folder = path / "keyframes"
     # Corrected and other poses differ by a drift, so that a scene never has both.
     corrected = all(has_folder(folder / f"corrected_{kind}") for kind in ("images", "cameras"))

@@ -23,12 +23,10 @@ WHAT = "intrinsic.txt with NNNNN.jpg and NNNNN.txt (posed_images)"
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has images, poses and intrinsics side by side."""
     return has_folder(path) and has_file(path / "intrinsic.txt") and bool(_images(path))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads a scan; see :func:`torchjoint.load_scene`."""
     scan, beside = path.name, path.absolute().parent.parent / "scans" / path.name
     folder = path if has_file(path / f"{scan}{CLOUD}") else beside
     cloud = folder / f"{scan}{CLOUD}"

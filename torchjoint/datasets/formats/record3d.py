@@ -42,7 +42,6 @@ MAX_DEPTH = 640 * 480
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is an .r3d file, its unpacked folder, or an export."""
     if has_file(path):
         return path.suffix.lower() == ".r3d"
     unpacked = has_file(path / "metadata") and has_folder(path / "rgbd")
@@ -51,7 +50,6 @@ def recognizes(path: Path) -> bool:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the recording; see :func:`torchjoint.load_scene`."""
     scene = scene_of_frames(path, _read_frames(Members(_folder(path))), options)
     return replace(scene, name=path.stem if has_file(path) else path.name)
 

@@ -24,12 +24,10 @@ CAMERA = "cam_params.json"
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a room's folder."""
     return has_folder(path) and has_file(path / "traj.txt") and any((path / "results").glob("frame*.jpg"))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     file = next((one for one in (path / CAMERA, path.parent / CAMERA) if has_file(one)), path / CAMERA)
     values = read_record(file, "the camera of Replica").record("camera")
     scale = values.number("scale")

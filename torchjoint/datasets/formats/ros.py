@@ -73,14 +73,12 @@ class _Topics(NamedTuple):
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a recording of ROS."""
     if has_file(path):
         return path.suffix.lower() in SUFFIXES
     return has_file(path / "metadata.yaml") and any(".mcap" in one.name or ".db3" in one.name for one in path.iterdir())
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the recording; see :func:`torchjoint.load_scene`."""
     bag = Bag(path)
     poses = Poses(bag, options.time_limit)
     topics = _find_topics(bag, poses, options.topics)

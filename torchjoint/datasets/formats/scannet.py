@@ -42,7 +42,6 @@ _SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a scan's folder, or a .sens file."""
     if has_file(path):
         return path.suffix == ".sens"
     own = any(has_file(path / f"{path.name}{suffix}") for suffix in (".sens", CLOUD))
@@ -51,7 +50,6 @@ def recognizes(path: Path) -> bool:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads a scan; see :func:`torchjoint.load_scene`."""
     folder, scan = (path.parent, path.stem) if has_file(path) else (path, path.name)
     frames = _read_frames(folder, scan)
     cloud = folder / f"{scan}{CLOUD}"

@@ -49,13 +49,11 @@ IMAGES = ("resized_undistorted_images", "undistorted_images", "resized_images", 
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a scene's folder, or that of one of its cameras."""
     scene, camera = _places(path)
     return has_folder(path) and (has_file(scene / "scans" / MESH) or _images(scene / camera) is not None)
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the scene; see :func:`torchjoint.load_scene`."""
     folder, camera = _places(path)
     mesh = folder / "scans" / MESH
     segments, objects = truth_files(path)

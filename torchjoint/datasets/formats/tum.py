@@ -22,7 +22,6 @@ import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -48,18 +47,11 @@ _CALIBRATIONS = {
 _DEFAULT = (525.0, 525.0, 319.5, 239.5, ())
 
 
-class _File(NamedTuple):
-    time: float
-    path: Path
-
-
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder is a recording of this format."""
     return has_folder(path) and has_file(path / "rgb.txt") and has_file(path / "groundtruth.txt")
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     return scene_of_frames(path, read_frames(path), options)
 
 
@@ -67,19 +59,19 @@ def read_frames(path: Path) -> Sequence[Frame]:
     """Returns the frames of a recording; each frame is read on access."""
     colors = _read_files(path / "rgb.txt")
     depths = _read_files(path / "depth.txt") if has_file(path / "depth.txt") else []
-    depth_of = dict(associate([file.time for file in colors], [file.time for file in depths]))
+    times, images = [time for time, _ in colors], [file for _, file in colors]
+    depth_of = dict(associate(times, [time for time, _ in depths]))
     track = path / "groundtruth.txt"
     rows = read_timed_rows(track, "timestamp tx ty tz qx qy qz qw", 8)
-    poses = interpolate_poses(rows, np.array([file.time for file in colors]), TOLERANCE, str(track))
+    poses = interpolate_poses(rows, np.array(times), TOLERANCE, str(track))
     kept = [(index, pose) for index, pose in enumerate(poses) if pose is not None]
     if not kept:
         raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
-    left, files = len(poses) - len(kept), [file.path for file in colors]
-    tell_unlisted(str(path), files, left, f"have no pose within {TOLERANCE} s,")
+    tell_unlisted(str(path), images, len(poses) - len(kept), f"have no pose within {TOLERANCE} s,")
     camera, shots = _camera(path), []
-    names = frame_names([str(colors[index].path) for index, _ in kept])
+    names = frame_names([str(images[index]) for index, _ in kept])
     for (index, pose), name in zip(kept, names, strict=True):
-        color, depth = colors[index].path, depths[depth_of[index]].path if index in depth_of else None
+        color, depth = images[index], depths[depth_of[index]][1] if index in depth_of else None
         for file in (color, depth or color):
             present(file, "the image that rgb.txt or depth.txt lists")
         shots.append(Shot(color, camera, invert_pose(pose), name, depth, DEPTH_UNIT))
@@ -112,9 +104,9 @@ def associate(first: Sequence[float], second: Sequence[float], tolerance: float 
     return sorted(pairs.items())
 
 
-def _read_files(path: Path) -> list[_File]:
+def _read_files(path: Path) -> list[tuple[float, Path]]:
     """Reads a list of timestamps and paths, sorted by time; of lines with equal times the first is used."""
-    files: dict[float, _File] = {}
+    files: dict[float, Path] = {}
     for name, line in read_lines(path, "lines of a timestamp and a path"):
         words = line.split()
         if not words:
@@ -122,8 +114,8 @@ def _read_files(path: Path) -> list[_File]:
         if len(words) != 2:
             raise ValueError(f"{name}: expected a timestamp and a path, got {line[:100]!r}")
         time = parse_numbers(words[:1], name)[0]
-        files.setdefault(time, _File(time, path_inside(path.parent, words[1], name)))
-    return [files[time] for time in sorted(files)]
+        files.setdefault(time, path_inside(path.parent, words[1], name))
+    return sorted(files.items())
 
 
 def _camera(path: Path) -> Camera:

@@ -43,12 +43,10 @@ UNSURE = 0.25
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is the file, or its folder."""
     return has_file(path / FILE) if has_folder(path) else path.name == FILE and has_file(path)
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the file; see :func:`torchjoint.load_scene`."""
     file = path if path.name == FILE and has_file(path) else path / FILE
     arrays = _read(file)
     depth = arrays["depth"][..., 0].astype(np.float32)

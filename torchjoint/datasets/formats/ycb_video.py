@@ -30,12 +30,10 @@ MAX_ELEMENTS = 4_000_000
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder is a sequence."""
     return has_folder(path) and any(has_file(_beside(file, "meta.mat")) for file in _colors(path))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads a sequence; see :func:`torchjoint.load_scene`."""
     colors = _colors(path)
     images = label_images([_beside(file, "label.png") for file in colors], "labels")
     scene = scene_of_frames(path, read_shots([_shot(file) for file in colors]), options)
