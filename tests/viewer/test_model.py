@@ -11,7 +11,7 @@ import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, place_to_split, read_edits, write_edits
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.parts import Parts, edited
-from torchjoint.results.shading import Shading
+from torchjoint.results.render import Shading
 from torchjoint.scene import Hierarchy
 from torchjoint.viewer.cloud import blocks_of, pick_point
 from torchjoint.viewer.model import Model, export_selected
