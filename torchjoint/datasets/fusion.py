@@ -1,4 +1,7 @@
-"""Fuses a point cloud from posed depth images, for recordings without a cloud."""
+"""Fuses a point cloud from posed depth images, for recordings without a cloud.
+
+Before, it checks whether the depth images agree with one another at the given poses.
+"""
 
 from __future__ import annotations
 

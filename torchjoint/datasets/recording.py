@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from torchjoint.datasets.fusion import fuse_or_recall
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.outputs import Output
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene
+from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import Invalid
 
 #: Suffixes of a file `cloud` in a recording's folder; the first that exists is used.
@@ -43,8 +43,31 @@ class Options:
     recording: Path | None = None  #: the path that was given: of several recordings in a folder, one
 
 
-def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
-    """Makes a scene from a folder's frames, with the cloud of :func:`find_cloud`, or else with a fused cloud."""
+def scene_of_frames(
+    path: Path,
+    frames: Sequence[Frame],
+    options: Options,
+    clouds: Sequence[Path] = (),
+    *,
+    instances: Callable[[Tensor], Tensor | None] | None = None,
+    images: Sequence[Tensor] = (),
+) -> Scene:
+    """Makes a scene from a folder's frames, with the cloud of :func:`find_cloud`, or else with a fused cloud.
+
+    Args:
+        path: the folder.
+        frames: posed ones.
+        options: of `load_scene`.
+        clouds: the format's own clouds.
+        instances: the true instance of each point [N, 3] of the first of these, or None.
+        images: the true instances of the frames' pixels.
+    """
+    scene, file = _scene_of_frames(path, frames, options, clouds), find_cloud(path, options, clouds)
+    points = instances(scene.points) if instances is not None and file == clouds[0] else None
+    return replace(scene, truth=Truth(points, images)) if points is not None or images else scene
+
+
+def _scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path]) -> Scene:
     file = find_cloud(path, options, clouds)
     if file is not None:
         cloud = read_cloud_file(file, invalid=options.invalid, least_opacity=options.least_opacity)

@@ -21,28 +21,29 @@ from torchjoint.scene import Frame
 SEGMENTS, OBJECTS = "_vh_clean_2.0.010000.segs.json", ".aggregation.json"
 
 
-def vertex_instances(folder: Path, scan: str, num_points: int) -> Tensor | None:
+def vertex_instances(folder: Path, scan: str, points: Tensor) -> Tensor | None:
     """Reads [N] int64, the objectId of each vertex of `SCAN_vh_clean_2.ply`, -1 = none; None without annotation."""
-    segments, objects = folder / f"{scan}{SEGMENTS}", folder / f"{scan}{OBJECTS}"
-    return point_instances(segments, objects, num_points) if has_file(objects) else None
+    return point_instances(folder / f"{scan}{SEGMENTS}", folder / f"{scan}{OBJECTS}", points)
 
 
 def point_instances(
-    segments_file: Path, objects_file: Path, num_points: int, *, smallest: bool = False, among: Set[int] | None = None
-) -> Tensor:
-    """Reads [N] int64, the objectId of each vertex of a mesh; -1 = none.
+    segments_file: Path, objects_file: Path, points: Tensor, *, smallest: bool = False, among: Set[int] | None = None
+) -> Tensor | None:
+    """Reads [N] int64, the objectId of each vertex of a mesh, -1 = none; None without the file of objects.
 
     Args:
         segments_file: the segment of each vertex.
         objects_file: the segments of each object.
-        num_points: of the mesh.
+        points: [N, ...] of the mesh; their number counts.
         smallest: a vertex of several objects belongs to the one of fewest vertices; else to the last in the file.
         among: the objectIds of the objects that are there; None: all.
     """
+    if not has_file(objects_file):
+        return None
     record = read_record(segments_file, "segments of a mesh")
     segments = record.integers("segIndices")
-    if len(segments) != num_points:
-        raise ValueError(f"{record.name}: expected the segments of {num_points} points, got {len(segments)}")
+    if len(segments) != len(points):
+        raise ValueError(f"{record.name}: expected the segments of {len(points)} points, got {len(segments)}")
     numbers, segment_of_point, sizes = np.unique(segments, return_inverse=True, return_counts=True)
     groups = []
     for group in read_record(objects_file, "segments of objects").records("segGroups"):

@@ -1,4 +1,4 @@
-"""Pictures of clouds, and the colours of labels."""
+"""Pictures of clouds, the colours of labels, and how bright a point is drawn (output after step 8)."""
 
 from __future__ import annotations
 

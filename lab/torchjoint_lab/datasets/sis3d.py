@@ -116,7 +116,7 @@ def _is_scan(folder: Path) -> bool:
 def _point_truth(folders: Folders, points: Tensor, options: Options) -> Tensor | None:
     scan = folders.scan
     if find_cloud(folders.images, options, [folders.cloud]) == folders.cloud:
-        annotated = vertex_instances(folders.mesh, scan, len(points))
+        annotated = vertex_instances(folders.mesh, scan, points)
         if annotated is not None:
             return annotated
         vertices = folders.root / "gt_insts" / f"{scan}.txt"

@@ -1,4 +1,4 @@
-"""Reads binary files with untrusted headers: checks that the data exist before it reads them."""
+"""Reads binary files with untrusted headers, and members of archives: checks that data exist before it reads them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Converts ROS messages: images, depth images, point clouds, cameras."""
+"""Converts ROS messages: images, depth images, point clouds, cameras; and poses, of the tree of tf or another topic."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ smallest box that contains it; all others are void.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +24,11 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole
 from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.files.text import parse_numbers, read_record, read_rows, read_timed_rows
-from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames, tell_left_out
+from torchjoint.datasets.recording import Options, scene_of_frames, tell_left_out
 from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene import Frame, Scene
 
 WHAT = "lowres_wide.traj with lowres_wide/, lowres_wide_intrinsics/, lowres_depth/, here or in ID_frames/ (ARKitScenes)"
 TRAJECTORY, IMAGES, DEPTHS, CAMERAS = "lowres_wide.traj", "lowres_wide", "lowres_depth", "lowres_wide_intrinsics"
@@ -44,11 +44,8 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     folder, clouds = _frames_folder(path), [path / f"{path.name}_3dod_mesh.ply"]
-    scene = scene_of_frames(path, _read_frames(folder), options, clouds)
-    annotation = path / f"{path.name}_3dod_annotation.json"
-    if not has_file(annotation) or find_cloud(path, options, clouds) != clouds[0]:
-        return scene
-    return replace(scene, truth=Truth(_instances(annotation, scene.points)))
+    annotation = partial(_instances, path / f"{path.name}_3dod_annotation.json")
+    return scene_of_frames(path, _read_frames(folder), options, clouds, instances=annotation)
 
 
 def _frames_folder(path: Path) -> Path:
@@ -100,7 +97,9 @@ def _camera(folder: Path, stem: str) -> Camera:
     return pinhole([*numbers, width, height], str(file))
 
 
-def _instances(file: Path, points: Tensor) -> Tensor:
+def _instances(file: Path, points: Tensor) -> Tensor | None:
+    if not has_file(file):
+        return None
     boxes = [one.record("segments").record("obbAligned") for one in read_record(file, "boxes").records("data")]
     if not boxes:
         return torch.full((len(points),), -1)

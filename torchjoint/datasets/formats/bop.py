@@ -14,7 +14,6 @@ positions in the world are at most `SAME_PLACE` apart. All other pixels are void
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -26,7 +25,7 @@ from torchjoint.datasets.files.text import Record, read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Scene, Truth
+from torchjoint.scene import Scene
 
 WHAT = "scene_camera.json with rgb/ or gray/ (BOP)"
 #: Largest distance between the positions of one object according to two images, metres.
@@ -39,7 +38,7 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     shots = _read_shots(path)
-    return replace(scene_of_frames(path, read_shots(shots), options), truth=_truth(path, shots))
+    return scene_of_frames(path, read_shots(shots), options, images=_truth(path, shots))
 
 
 def _read_shots(path: Path) -> list[Shot]:
@@ -72,9 +71,9 @@ def _pose(record: Record, rotation: str, translation: str) -> Tensor:
     return checked_pose(pose, f"{record.name}: {rotation}, {translation}")
 
 
-def _truth(path: Path, shots: Sequence[Shot]) -> Truth | None:
+def _truth(path: Path, shots: Sequence[Shot]) -> Sequence[Tensor]:
     if not has_file(path / "scene_gt.json") or not has_folder(path / "mask_visib"):
-        return None
+        return ()
     truth = read_record(path / "scene_gt.json", "the objects of the images")
     instances = _instances(shots, truth)
 
@@ -88,7 +87,7 @@ def _truth(path: Path, shots: Sequence[Shot]) -> Truth | None:
             labels[mask] = instance
         return labels
 
-    return Truth(None, LazySequence(len(shots), read))
+    return LazySequence(len(shots), read)
 
 
 def _instances(shots: Sequence[Shot], truth: Record) -> list[list[int]]:

@@ -9,15 +9,15 @@ SCAN_vh_clean_2.ply                the cloud, with ScanNet's annotation (optiona
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from torchjoint.datasets.formats.scannet import CLOUD, Cameras, frames_of, read_calibration
-from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames, sorted_images
+from torchjoint.datasets.recording import Options, scene_of_frames, sorted_images
 from torchjoint.datasets.truth import vertex_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene import Frame, Scene
 
 WHAT = "intrinsic.txt with NNNNN.jpg and NNNNN.txt (posed_images)"
 
@@ -30,9 +30,8 @@ def load(path: Path, options: Options) -> Scene:
     scan, beside = path.name, path.absolute().parent.parent / "scans" / path.name
     folder = path if has_file(path / f"{scan}{CLOUD}") else beside
     cloud = folder / f"{scan}{CLOUD}"
-    scene = scene_of_frames(path, _read_frames(path), options, [cloud])
-    points = vertex_instances(folder, scan, len(scene.points)) if find_cloud(path, options, [cloud]) == cloud else None
-    return scene if points is None else replace(scene, truth=Truth(points))
+    instances = partial(vertex_instances, folder, scan)
+    return scene_of_frames(path, _read_frames(path), options, [cloud], instances=instances)
 
 
 def _read_frames(path: Path) -> LazySequence[Frame]:

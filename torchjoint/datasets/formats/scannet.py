@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,11 +30,11 @@ from torch import Tensor
 from torchjoint.datasets.cameras import register_depth, stretch_intrinsics, world_to_camera
 from torchjoint.datasets.files.readers import read_depth, read_image, read_matrix
 from torchjoint.datasets.files.sens import SensFile
-from torchjoint.datasets.recording import Options, find_cloud, read_shots, scene_of_frames, sorted_images, tell_left_out
+from torchjoint.datasets.recording import Options, read_shots, scene_of_frames, sorted_images, tell_left_out
 from torchjoint.datasets.truth import image_instances, vertex_instances
 from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, or_unreadable, read_text
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import as_intrinsics
 
 WHAT = "SCAN.sens, or SCAN_vh_clean_2.ply, or color/, pose/ and intrinsic/, in a folder called SCAN (ScanNet)"
@@ -52,12 +53,9 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     folder, scan = (path.parent, path.stem) if has_file(path) else (path, path.name)
     frames = _read_frames(folder, scan)
-    cloud = folder / f"{scan}{CLOUD}"
-    scene = scene_of_frames(folder, frames, options, [cloud])
-    is_own = find_cloud(folder, options, [cloud]) == cloud
-    points = vertex_instances(folder, scan, len(scene.points)) if is_own else None
-    images = image_instances(folder, scan, frames)
-    return replace(scene, name=scan, truth=Truth(points, images) if points is not None or images else None)
+    instances, images = partial(vertex_instances, folder, scan), image_instances(folder, scan, frames)
+    clouds = [folder / f"{scan}{CLOUD}"]
+    return replace(scene_of_frames(folder, frames, options, clouds, instances=instances, images=images), name=scan)
 
 
 def scenes(path: Path) -> dict[str, Path]:

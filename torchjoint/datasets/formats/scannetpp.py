@@ -19,6 +19,7 @@ toolkit, github.com/scannetpp/scannetpp (common/scene_release.py, iphone/arkit_p
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from torchjoint.datasets.cameras import Camera, world_to_camera
@@ -28,7 +29,6 @@ from torchjoint.datasets.formats.nerfstudio import read_camera
 from torchjoint.datasets.recording import (
     Options,
     Shot,
-    find_cloud,
     read_shots,
     scene_of_frames,
     tell_unlisted,
@@ -36,7 +36,7 @@ from torchjoint.datasets.recording import (
 from torchjoint.datasets.truth import point_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene import Frame, Scene
 
 WHAT = "scans/mesh_aligned_0.05.ply, dslr/colmap/ with images, or iphone/ with rgb/ (ScanNet++)"
 MESH, SEGMENTS, OBJECTS = "mesh_aligned_0.05.ply", "segments.json", "segments_anno.json"
@@ -56,11 +56,9 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     folder, camera = _places(path)
     mesh = folder / "scans" / MESH
-    segments, objects = truth_files(path)
-    scene = replace(scene_of_frames(path, _read_frames(folder / camera), options, [mesh]), name=folder.name)
-    if find_cloud(path, options, [mesh]) != mesh or not has_file(objects):
-        return scene
-    return replace(scene, truth=Truth(point_instances(segments, objects, len(scene.points), smallest=True)))
+    instances = partial(point_instances, *truth_files(path), smallest=True)
+    scene = scene_of_frames(path, _read_frames(folder / camera), options, [mesh], instances=instances)
+    return replace(scene, name=folder.name)
 
 
 def truth_files(path: Path) -> tuple[Path, Path]:

@@ -11,7 +11,6 @@ The cloud is `cloud.ply`, or fused from depth.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from torchjoint.datasets.files.mat_files import read_matrices
 from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames
 from torchjoint.datasets.truth import label_images
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.scene import Scene, Truth
+from torchjoint.scene import Scene
 
 WHAT = "NNNNNN-color.jpg (or .png) with NNNNNN-meta.mat (YCB-Video)"
 #: Matrices with more elements, such as vertmap, are not read: they are not needed.
@@ -36,8 +35,7 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     colors = _colors(path)
     images = label_images([_beside(file, "label.png") for file in colors], "labels")
-    scene = scene_of_frames(path, read_shots([_shot(file) for file in colors]), options)
-    return replace(scene, truth=Truth(None, images) if images else None)
+    return scene_of_frames(path, read_shots([_shot(file) for file in colors]), options, images=images)
 
 
 def _shot(file: Path) -> Shot:
