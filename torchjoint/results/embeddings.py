@@ -79,10 +79,6 @@ def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, mar
 
     Returns:
         at most `k` crops; fewer if fewer frames see the segment.
-
-    Raises:
-        TypeError: the id is no integer.
-        ValueError: an unknown id, k < 1, a negative margin, or a scene without the frames of the result.
     """
     segment = check_segment(segment, result.num_point_segments)
     if k < 1 or not margin >= 0:
