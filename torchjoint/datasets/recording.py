@@ -92,7 +92,7 @@ def find_cloud(path: Path, options: Options, clouds: Sequence[Path] = ()) -> Pat
 class Shot(NamedTuple):
     """What is known of a frame before its files are read."""
 
-    color: Path
+    color: Path | Callable[[], Tensor]  #: 8-bit; or what reads it as [3, H, W] uint8
     camera: Camera
     world_to_camera: Tensor  #: [4, 4]
     name: str
@@ -105,7 +105,8 @@ class Shot(NamedTuple):
             depth = read_depth(self.depth, self.unit) if has_file(self.depth) else None
         else:
             depth = None if self.depth is None else self.depth()
-        return self.camera.frame(read_image(self.color, self.camera.size), self.world_to_camera, depth, self.name)
+        image = read_image(self.color, self.camera.size) if isinstance(self.color, Path) else self.color()
+        return self.camera.frame(image, self.world_to_camera, depth, self.name)
 
 
 def tell_left_out(name: str, left: int, total: int, why: str = "have no pose") -> None:

@@ -22,9 +22,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole
-from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.files.text import parse_numbers, read_record, read_rows, read_timed_rows
-from torchjoint.datasets.recording import Options, scene_of_frames, tell_left_out
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_left_out
 from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
@@ -56,19 +55,15 @@ def _frames_folder(path: Path) -> Path:
 def _read_frames(folder: Path) -> LazySequence[Frame]:
     images = sorted((_time(file), file) for file in (folder / IMAGES).glob("*.png"))
     poses = _read_poses(folder / TRAJECTORY, [time for time, _ in images])
-    shots = [(file, pose) for (_, file), pose in zip(images, poses, strict=True) if pose is not None]
+    shots = [
+        Shot(file, _camera(folder / CAMERAS, file.stem), invert_pose(pose), file.stem, folder / DEPTHS / file.name)
+        for (_, file), pose in zip(images, poses, strict=True)
+        if pose is not None
+    ]
     if not shots:
         raise ValueError(f"{folder / IMAGES}: no image has a pose in {TRAJECTORY} within {TOLERANCE} s")
     tell_left_out(str(folder), len(images) - len(shots), len(images), f"have no pose within {TOLERANCE} s,")
-
-    def read(index: int) -> Frame:
-        file, pose = shots[index]
-        depth = folder / DEPTHS / file.name
-        camera = _camera(folder / CAMERAS, file.stem)
-        measured = read_depth(depth) if has_file(depth) else None
-        return camera.frame(read_image(file, camera.size), invert_pose(pose), measured, file.stem)
-
-    return LazySequence(len(shots), read, [file.stem for file, _ in shots])
+    return read_shots(shots)
 
 
 def _time(file: Path) -> float:

@@ -78,7 +78,9 @@ def _truth(path: Path, shots: Sequence[Shot]) -> Sequence[Tensor]:
     instances = _instances(shots, truth)
 
     def read(index: int) -> Tensor:
-        labels = torch.full(read_image_size(shots[index].color), -1, dtype=torch.int64)
+        image = shots[index].color
+        assert isinstance(image, Path)
+        labels = torch.full(read_image_size(image), -1, dtype=torch.int64)
         for place, instance in enumerate(instances[index]):
             file = path / "mask_visib" / f"{shots[index].name}_{place:06d}.png"
             mask = read_label_image(file) > 0

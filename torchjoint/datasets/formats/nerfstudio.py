@@ -70,18 +70,18 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
         Record((for_all if _FOCAL.isdisjoint(frame.values) else shared) | dict(frame.values), frame.name)
         for frame in record.records("frames")
     ]
-    shots = sorted((_shot(file, frame) for frame in frames), key=lambda shot: shot.color)
+    shots = sorted((_shot(file, frame) for frame in frames), key=lambda pair: pair[0])
     if not shots:
         raise ValueError(f"{file}: frames: expected at least one, got none")
     for one, following in pairwise(shots):
-        if one.color == following.color:
-            raise ValueError(f"{file}: frames: two are of {one.color}")
-    tell_unlisted(str(file), [shot.color for shot in shots])
-    names = frame_names([str(shot.color) for shot in shots])
-    return read_shots([shot._replace(name=name) for shot, name in zip(shots, names, strict=True)])
+        if one[0] == following[0]:
+            raise ValueError(f"{file}: frames: two are of {one[0]}")
+    tell_unlisted(str(file), [color for color, _ in shots])
+    names = frame_names([str(color) for color, _ in shots])
+    return read_shots([shot._replace(name=name) for (_, shot), name in zip(shots, names, strict=True)])
 
 
-def _shot(file: Path, frame: Record) -> Shot:
+def _shot(file: Path, frame: Record) -> tuple[Path, Shot]:
     color = _inside(file, frame, "file_path")
     named = [color, *(color.with_name(color.name + suffix) for suffix in _SUFFIXES)]
     color = next((one for one in named if has_file(one)), color)
@@ -94,7 +94,7 @@ def _shot(file: Path, frame: Record) -> Shot:
         raise ValueError(f"{frame.name}: depth_unit_scale_factor: expected the metres per unit, above 0, got {unit}")
     pose = world_to_camera(frame.matrix("transform_matrix", 4), f"{frame.name}: transform_matrix", opengl=True)
     read = None if depth is None else partial(_read_depth, depth, unit)
-    return Shot(color, read_camera(frame, color), pose, color.name, read)
+    return color, Shot(color, read_camera(frame, color), pose, color.name, read)
 
 
 def _read_depth(path: Path, unit: float | None) -> Tensor:

@@ -97,15 +97,16 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     if not kept:
         raise FileNotFoundError(f"{images}: expected images that have poses, such as {files[0][0].name}, got none")
     tell_unlisted(str(images), [file for file, _ in kept])
-    one_camera = None
+    camera = None
     if "undistorted" in images.name:
-        one_camera = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
+        camera = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
 
-    def moved(file: Path, shot: ColmapImage) -> Shot:
-        depth = folder / "depth" / f"{file.stem}.png"
-        return Shot(file, one_camera or shot.camera, shot.world_to_camera, file.stem, depth)
-
-    return read_shots([moved(file, shot) for file, shot in kept])
+    return read_shots(
+        [
+            Shot(file, camera or shot.camera, shot.world_to_camera, file.stem, folder / "depth" / f"{file.stem}.png")
+            for file, shot in kept
+        ]
+    )
 
 
 def _read_shots(file: Path) -> list[ColmapImage]:
