@@ -347,65 +347,54 @@ def _ascii_elements(data: bytes, header: Header) -> dict[str, Columns]:
 
 
 def _ascii_rows(text: bytes, element: Element) -> Columns:
-    """The columns of an element; if all its lists have one length, as triangles have, NumPy reads them."""
-    try:
-        values = np.loadtxt(io.BytesIO(text), comments=None, ndmin=2) if element.rows else np.empty((0, 1 << 16))
-        error = ""
-    except ValueError as wrong:
-        values, error = np.empty((0, 0)), str(wrong)
-    columns: dict[str, Array | Lists] = {}
-    place, count = 0, values.shape[1]
-    for one in element.properties:
-        length = 1
-        if one.length is not None and place < count:
-            lengths = typed(values[:, place], one.length, f"property {one.name}", element.name).astype(np.int64)
-            length, place = int(lengths[0]) if len(lengths) else 0, place + 1
-            if (lengths != length).any():
-                break
-        own = values[:, place : place + length]
-        place += length
-        if length < 0 or place > count:
-            break
-        read = typed(own.ravel(), one.kind, f"property {one.name}", element.name)
-        columns[one.name] = read if one.length is None else Lists(read, lengths)
-    if len(values) == element.rows and (place == count or not element.rows):
-        return columns
-    if element.lists:
-        return _lines_of_several_lengths(text, element)
-    for row, line in enumerate(text.splitlines()):
-        if len(line.split()) != len(element.properties):
-            raise ValueError(
-                f"element {element.name}: expected {len(element.properties)} numbers in row {row}, got "
-                f"{len(line.split())} words"
-            )
-    raise ValueError(f"element {element.name}: a word is no number: {error}")
+    """The columns of an element, of which each row is a line; the lengths of its lists tell where its numbers are."""
+    numbers, counts = _numbers_of_lines(text, element)
+    ends = np.cumsum(counts)
+    place = starts = ends - counts
 
+    def must_fit(fits: Array, expected: Array, what: str) -> None:
+        if not fits.all():
+            row = int(fits.argmin())
+            got = text.splitlines()[row][:80]
+            raise ValueError(f"element {element.name}: expected {expected[row]} numbers{what} in {got!r}")
 
-def _lines_of_several_lengths(text: bytes, element: Element) -> Columns:
-    bounds.check(element.rows, bounds.LIST_ROWS, f"rows of lists of several lengths in element {element.name}")
-    found: dict[str, list[float]] = {one.name: [] for one in element.properties}
-    lengths: dict[str, list[int]] = {name: [] for name in element.lists}
-    for line in text.splitlines():
-        if b"_" in line:  # Python reads 1_0 as 10
-            raise ValueError(f"element {element.name}: expected numbers, got {line[:80]!r}")
-        words, place = [float(word) for word in line.split()], 0
-        for one in element.properties:
-            length = 1
-            if one.length is not None:
-                read = typed(np.array(words[place : place + 1]), one.length, f"property {one.name}", element.name)
-                length, place = int(read[0]) if len(read) else 1, place + 1
-                lengths[one.name].append(length)
-            if not 0 <= length <= len(words) - place:
-                raise ValueError(f"element {element.name}: expected {length} numbers of {one.name} in {line[:80]!r}")
-            found[one.name] += words[place : place + length]
-            place += length
-        if place != len(words):
-            raise ValueError(f"element {element.name}: expected {place} numbers in {line[:80]!r}")
     columns: dict[str, Array | Lists] = {}
     for one in element.properties:
-        values = typed(np.array(found[one.name]), one.kind, f"property {one.name}", element.name)
-        columns[one.name] = values if one.length is None else Lists(values, np.array(lengths[one.name], np.int64))
+        name = f"property {one.name}"
+        must_fit(place < ends, place - starts + 1, "")
+        if one.length is None:
+            columns[one.name], place = typed(numbers[place], one.kind, name, element.name), place + 1
+            continue
+        lengths = typed(numbers[place], one.length, name, element.name).astype(np.int64)
+        place = place + 1
+        must_fit((lengths >= 0) & (lengths <= ends - place), lengths, f" of {one.name}")
+        at = np.arange(lengths.sum()) + np.repeat(place - np.cumsum(lengths) + lengths, lengths)
+        columns[one.name], place = Lists(typed(numbers[at], one.kind, name, element.name), lengths), place + lengths
+    must_fit(place == ends, place - starts, "")
     return columns
+
+
+def _numbers_of_lines(text: bytes, element: Element) -> tuple[Array, Array]:
+    """All numbers of an element's lines, and how many there are in each line [rows]."""
+    if not element.rows:
+        return np.empty(0), np.empty(0, np.int64)
+    reason = ""
+    try:
+        table = np.loadtxt(io.BytesIO(text), comments=None, ndmin=2)
+        if len(table) == element.rows and (element.lists or table.shape[1] == len(element.properties)):
+            return table.ravel(), np.full(element.rows, table.shape[1])
+    except ValueError as error:  # of lines of several lengths, or of a word
+        reason = str(error)
+    counts = np.array([len(line.split()) for line in text.splitlines()])
+    if not element.lists:
+        for row in np.flatnonzero(counts != len(element.properties)).tolist():
+            told = f"expected {len(element.properties)} numbers in row {row}, got {counts[row]} words"
+            raise ValueError(f"element {element.name}: {told}")
+        raise ValueError(f"element {element.name}: a word is no number: {reason}")
+    bounds.check(element.rows, bounds.LIST_ROWS, f"rows of lists of several lengths in element {element.name}")
+    if b"_" in text:  # Python reads 1_0 as 10
+        raise ValueError(f"element {element.name}: expected numbers, got a word with _")
+    return np.array([float(word) for word in text.split()]), counts
 
 
 class PlyRecords(NamedTuple):
