@@ -40,6 +40,19 @@ CHECKED = 6
 #: The volume's origin is at a multiple of this many voxels.
 GRID = 1 << 14
 
+#: Number of pairs of frames that are compared, and the farthest partner of a frame, as a share of the sequence.
+PAIRS, REACH = 6, 0.1
+#: Cameras of a pair turned at least by this angle, degrees, or moved by this length, metres: else any pose fits.
+LEAST_TURN, LEAST_STEP = 5.0, 0.1
+#: The poses fit if the depths differ by less than the first number (median, relative; right poses of the kitchen and of
+#: generated rooms have .006, wrong ones .066 and more). Another convention fits if it has less than the given poses'
+#: difference times the second.
+AGREEING, BETTER = 0.04, 0.3
+#: Fewest pixels that two images must share.
+LEAST_SHARED = 100
+#: About this number of pixels of an image are compared.
+SAMPLED = 5000
+
 
 @contextmanager
 def _lost_if_interrupted() -> Iterator[None]:
@@ -186,20 +199,6 @@ def _file(path: Path, voxel_size: float, how: str) -> Path | None:
         return None
     key = repr((fingerprint(path), float(voxel_size), version("torchjoint"), how))
     return folder / "clouds" / f"{hashlib.sha256(key.encode()).hexdigest()}"
-
-
-#: Number of pairs of frames that are compared, and the farthest partner of a frame, as a share of the sequence.
-PAIRS, REACH = 6, 0.1
-#: Cameras of a pair turned at least by this angle, degrees, or moved by this length, metres: else any pose fits.
-LEAST_TURN, LEAST_STEP = 5.0, 0.1
-#: The poses fit if the depths differ by less than the first number (median, relative; right poses of the kitchen and of
-#: generated rooms have .006, wrong ones .066 and more). Another convention fits if it has less than the given poses'
-#: difference times the second.
-AGREEING, BETTER = 0.04, 0.3
-#: Fewest pixels that two images must share.
-LEAST_SHARED = 100
-#: About this number of pixels of an image are compared.
-SAMPLED = 5000
 
 
 @one_thread_per_operation()

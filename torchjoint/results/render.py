@@ -19,6 +19,16 @@ from torchjoint.scene.scene import evenly_spaced_indices
 from torchjoint.views.visibility import visible_points
 
 NONE_COLOR = 0.12
+#: Field of view of the pictures: focal length in image widths.
+FOCAL = 1.15
+#: A point is drawn as a square of at most 2 LARGEST + 1 pixels.
+LARGEST = 6
+#: Numbers of neighbours: of a normal, and of those whose label may differ at an edge.
+NORMAL, EDGE = 20, 6
+#: Direction of the light, along two level axes and up: walls and floors of a room get three different shades.
+LIGHT = (0.35, 0.55, 0.76)
+#: Brightness of a point that the light only grazes, and of an edge.
+GRAZED, DARK = 0.55, 0.55
 
 
 def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tensor:
@@ -47,12 +57,6 @@ def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tenso
         value = np.where(pale, 0.35 + 0.3 * value, value)
     colors = torch.from_numpy(hsv_to_rgb(np.stack([hue, saturation, value], axis=-1))).float()
     return torch.where(labels[..., None] < 0, NONE_COLOR, colors)
-
-
-#: Field of view of the pictures: focal length in image widths.
-FOCAL = 1.15
-#: A point is drawn as a square of at most 2 LARGEST + 1 pixels.
-LARGEST = 6
 
 
 @on_cpu()
@@ -117,14 +121,6 @@ def _up_and_forward(scene: Scene) -> tuple[Tensor, Tensor]:
     if float(forward.norm()) < 1e-3:  # cameras that look straight down, or in all directions
         forward = torch.linalg.cross(up, up.roll(1))
     return up, torch.nn.functional.normalize(forward, dim=0)
-
-
-#: Numbers of neighbours: of a normal, and of those whose label may differ at an edge.
-NORMAL, EDGE = 20, 6
-#: Direction of the light, along two level axes and up: walls and floors of a room get three different shades.
-LIGHT = (0.35, 0.55, 0.76)
-#: Brightness of a point that the light only grazes, and of an edge.
-GRAZED, DARK = 0.55, 0.55
 
 
 class Shading:

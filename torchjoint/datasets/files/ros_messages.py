@@ -29,6 +29,17 @@ _DEPTHS = {"16UC1": ("u2", 0.001), "mono16": ("u2", 0.001), "32FC1": ("f4", 1.0)
 _FIELDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 #: compressed_depth_image_transport writes its own header before the PNG.
 _DEPTH_HEADER = 12
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+#: Other topics with poses, the better ones first: those that name the frame that they place.
+ODOMETRY = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/TransformStamped",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "nav_msgs/msg/Path",
+)
+#: A chain of more frames than this is taken for a cycle.
+_DEEPEST = 64
 
 
 def is_depth(message: Any) -> bool:
@@ -149,19 +160,6 @@ def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
     finite, returned = cloud.points.isfinite().all(1), cloud.points.any(1)
     kept = repaired(cloud._replace(points=cloud.points.double(), normals=None).chosen(finite & returned), name)
     return kept, int((finite & ~returned).sum())
-
-
-TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-#: Other topics with poses, the better ones first: those that name the frame that they place.
-ODOMETRY = (
-    "nav_msgs/msg/Odometry",
-    "geometry_msgs/msg/TransformStamped",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "nav_msgs/msg/Path",
-)
-#: A chain of more frames than this is taken for a cycle.
-_DEEPEST = 64
 
 
 class Poses:

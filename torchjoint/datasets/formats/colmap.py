@@ -9,6 +9,7 @@ cloud.ply, fused.ply, dense/fused.ply,    the cloud, the first that exists; othe
 dense/N/fused.ply                         are few for a segmentation; N is that of sparse/N; of several models only this
 
 If the given folder is the model itself, images and clouds are also searched in its parent and grandparent folders.
+Of a camera, pixel centres are at 1/2; of an image, the pose is world-to-camera, a quaternion w x y z and a translation.
 Images may be resized, but not cropped; lens distortion is removed. The scale of a reconstruction is arbitrary: its
 "metres" are the model's unit, unless the model was aligned.
 """
@@ -35,6 +36,24 @@ from torchjoint.scene import Frame, Scene
 WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
 
 _IMAGES = ("images", "images_2", "images_4", "images_8", ".")
+#: Camera models; the index is the model's number in binary files.
+MODELS = (
+    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
+    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
+)  # fmt: skip
+
+#: Camera models that OpenCV can undistort: number of focal lengths (they come first, then cx, cy) and of parameters.
+_PARAMETERS = {
+    "SIMPLE_PINHOLE": (1, 3),
+    "PINHOLE": (2, 4),
+    "SIMPLE_RADIAL": (1, 4),
+    "RADIAL": (1, 5),
+    "OPENCV": (2, 8),
+    "FULL_OPENCV": (2, 12),
+    "OPENCV_FISHEYE": (2, 8),
+    "SIMPLE_RADIAL_FISHEYE": (1, 4),
+    "RADIAL_FISHEYE": (1, 5),
+}
 
 
 def recognizes(path: Path) -> bool:
@@ -96,26 +115,6 @@ def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:
             return folder
     places = ", ".join(str(folder) for folder in folders)
     raise FileNotFoundError(f"{source}: its image {name!r} is missing; looked for it in {places}")
-
-
-#: Camera models; the index is the model's number in binary files.
-MODELS = (
-    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
-    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
-)  # fmt: skip
-
-#: Camera models that OpenCV can undistort: number of focal lengths (they come first, then cx, cy) and of parameters.
-_PARAMETERS = {
-    "SIMPLE_PINHOLE": (1, 3),
-    "PINHOLE": (2, 4),
-    "SIMPLE_RADIAL": (1, 4),
-    "RADIAL": (1, 5),
-    "OPENCV": (2, 8),
-    "FULL_OPENCV": (2, 12),
-    "OPENCV_FISHEYE": (2, 8),
-    "SIMPLE_RADIAL_FISHEYE": (1, 4),
-    "RADIAL_FISHEYE": (1, 5),
-}
 
 
 class ColmapImage(NamedTuple):

@@ -39,6 +39,10 @@ WHAT = "an .r3d file, metadata with rgbd/, or EXR_RGBD/ with metadata.json, rgb/
 EXPORT = "EXR_RGBD"
 #: Pixels of packed depth: those of TrueDepth; a LiDAR has 256 x 192.
 MAX_DEPTH = 640 * 480
+#: A packed block starts so. It holds at most 10,000 matches of 2,359 bytes, whatever size its header declares.
+_BLOCKS = (b"bvx1", b"bvx2")
+#: Apple's encoder begins a new block after so many bytes or more: 10,000 matches of at least 4, or 40,000 literals.
+_BLOCK_BYTES = 40_000
 
 
 def recognizes(path: Path) -> bool:
@@ -113,12 +117,6 @@ def _read_cameras(values: Record, count: int) -> list[Camera]:
     if len(rows) not in (1, count):
         raise ValueError(f"{values.name}: {key}: expected a row for each of {count} poses, got {len(rows)} rows")
     return [Camera(pinhole_matrix(*row), size, name=values.name) for row in rows.expand(count, 4).tolist()]
-
-
-#: A packed block starts so. It holds at most 10,000 matches of 2,359 bytes, whatever size its header declares.
-_BLOCKS = (b"bvx1", b"bvx2")
-#: Apple's encoder begins a new block after so many bytes or more: 10,000 matches of at least 4, or 40,000 literals.
-_BLOCK_BYTES = 40_000
 
 
 def decompress(data: bytes, size: int, name: str = "data") -> bytes:

@@ -40,6 +40,10 @@ from torchjoint.scene.checks import as_intrinsics
 WHAT = "SCAN.sens, or SCAN_vh_clean_2.ply, or color/, pose/ and intrinsic/, in a folder called SCAN (ScanNet)"
 CLOUD = "_vh_clean_2.ply"
 _SUFFIXES = (".jpg", ".jpeg", ".png")
+Size = tuple[int, int]
+
+#: (H, W) of the sensor's images in nearly all scans.
+COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
 
 
 def recognizes(path: Path) -> bool:
@@ -144,12 +148,6 @@ def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras,
         depth_intrinsics = of_depth.scaled_to((depth.shape[0], depth.shape[1]))
         depth = register_depth(depth, depth_intrinsics, intrinsics, size)
     return Frame(image, intrinsics, world_to_camera, depth=depth, name=name)
-
-
-Size = tuple[int, int]
-
-#: (H, W) of the sensor's images in nearly all scans.
-COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
 
 
 @dataclass(frozen=True)
