@@ -31,7 +31,7 @@ from torchjoint.datasets.cameras import Camera, pinhole_matrix, world_to_camera
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image_size
 from torchjoint.datasets.files.text import Record, frame_names, path_inside, read_record
 from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
-from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "transforms.json, as of nerfstudio (or a file of that kind itself)"
@@ -58,7 +58,7 @@ def load(path: Path, options: Options) -> Scene:
     record = read_record(file, "poses as of nerfstudio")
     clouds = [_inside(file, record, "ply_file_path")] if "ply_file_path" in record else []
     if clouds and find_cloud(file.parent, options, clouds) is None:
-        raise FileNotFoundError(f"{clouds[0]}: missing; expected the cloud that {file} gives as ply_file_path")
+        present(clouds[0], f"the cloud that {file} gives as ply_file_path")
     return scene_of_frames(file.parent, read_frames(file, record), options, clouds)
 
 
@@ -87,8 +87,8 @@ def _shot(file: Path, frame: Record) -> tuple[Path, Shot]:
     color = next((one for one in named if has_file(one)), color)
     depth = _inside(file, frame, "depth_file_path") if "depth_file_path" in frame else None
     for needed in (color, depth):
-        if needed is not None and not has_file(needed):
-            raise FileNotFoundError(f"{needed}: missing; expected an image that {frame.name} gives")
+        if needed is not None:
+            present(needed, f"an image that {frame.name} gives")
     unit = frame.number("depth_unit_scale_factor") if "depth_unit_scale_factor" in frame else None
     if unit is not None and unit <= 0:
         raise ValueError(f"{frame.name}: depth_unit_scale_factor: expected the metres per unit, above 0, got {unit}")
