@@ -16,11 +16,16 @@ from torchjoint.runtime.foreign_files import damage_is, dict_of, has_file, has_f
 
 
 class BinaryFile:
-    """Reads a little-endian file from front to back. A context manager."""
+    """Reads a little-endian file from front to back. A context manager.
 
-    def __init__(self, path: Path) -> None:
+    Args:
+        path: of the file.
+        name: begins the messages; None: the path.
+    """
+
+    def __init__(self, path: Path, name: str | None = None) -> None:
         present(path, "a binary file")
-        self.path = path
+        self.name = str(path) if name is None else name
         self.place = 0
         self.size = path.stat().st_size
         if self.size == 0:
@@ -50,29 +55,29 @@ class BinaryFile:
         """Reads an unsigned 64-bit count of the records that follow; each record has at least `smallest` bytes."""
         (count,) = self.read("Q")
         if count * smallest > self.size - self.place:
-            raise ValueError(f"{self.path}: truncated: {count} records at byte {self.place} are more than it holds")
+            raise ValueError(f"{self.name}: truncated: {count} records at byte {self.place} are more than it holds")
         return int(count)
 
     def text(self, longest: int = 4096) -> str:
         """Reads a string that ends with a zero byte; with this byte it has at most `longest` bytes."""
         end = self._data.find(b"\0", self.place, self.place + longest)
         if end < 0:
-            raise ValueError(f"{self.path}: expected a string of at most {longest} bytes at byte {self.place}")
+            raise ValueError(f"{self.name}: expected a string of at most {longest} bytes at byte {self.place}")
         raw, self.place = self._data[self.place : end], end + 1
-        with damage_is(f"{self.path}: expected a string before byte {end}"):
+        with damage_is(f"{self.name}: expected a string before byte {end}"):
             return raw.decode("utf-8")
 
     def skip(self, size: int) -> None:
         """Skips `size` bytes, which must exist."""
         if size > self.size - self.place:
-            raise ValueError(f"{self.path}: truncated: expected {size} bytes at byte {self.place} of {self.size}")
+            raise ValueError(f"{self.name}: truncated: expected {size} bytes at byte {self.place} of {self.size}")
         self.place += size
 
     def finish(self) -> None:
         """Checks that the file has no more bytes."""
         if self.place != self.size:
             rest = self.size - self.place
-            raise ValueError(f"{self.path}: expected the end at byte {self.place}, got {rest} more bytes")
+            raise ValueError(f"{self.name}: expected the end at byte {self.place}, got {rest} more bytes")
 
 
 class Members:

@@ -191,7 +191,7 @@ class LasHeader(NamedTuple):
 def check_header(path: Path) -> LasHeader:
     """Reads and checks the header of a file."""
     present(path, "a point cloud, .las or .laz")
-    with BinaryFile(path) as file, damage_is(f"{path}: not a whole LAS file"):
+    with BinaryFile(path, "its header") as file, damage_is(f"{path}: not a whole LAS file"):
         size = file.size
         header = _parse(file.read(f"{min(size, 375)}s")[0])
         end = header.extended_at if header.num_extended else size
