@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from torchjoint.live import LiveResult, LiveSegmenter
     from torchjoint.oversegmentation import Superpoints, superpoints
     from torchjoint.recordings.batch import BatchReport, batch
-    from torchjoint.recordings.options import RecordingOptions
-    from torchjoint.results.loading import load_result
+    from torchjoint.recordings.segment import RecordingOptions
+    from torchjoint.results.folder import load_result
     from torchjoint.results.result import Result
     from torchjoint.scene import Cloud, Frame, Hierarchy, LabelImages, Masks, Scene, Segmentation, Truth
     from torchjoint.scene.frame import PoseWarning
@@ -70,7 +70,7 @@ _HOMES = {
         "live": "LiveResult LiveSegmenter",
         "oversegmentation": "Superpoints superpoints",
         "recordings": "BatchReport RecordingOptions batch",
-        "results.loading": "load_result",
+        "results.folder": "load_result",
         "results.result": "Result",
         "scene": "Cloud Frame Hierarchy LabelImages Masks Scene Segmentation Truth",
         "synthetic": "SyntheticScene",

@@ -28,7 +28,7 @@ from torchjoint.cloud.graph import CsrAdjacency, PointGraph
 from torchjoint.cloud.mesh import face_edges
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
-from torchjoint.datasets.files.meshes import vertex_normals
+from torchjoint.datasets.formats.cloud_alone import vertex_normals
 from torchjoint.segments.method import LEARNED
 
 VOXEL, NEAR, OFF, DISCS = 0.02, 0.05, 15.0, 0.8

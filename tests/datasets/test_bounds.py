@@ -205,7 +205,7 @@ class TestPackedPoints:
 
 def test_channels_of_exr_that_nobody_wants(tmp_path, monkeypatch):
     OpenEXR = pytest.importorskip("OpenEXR")
-    from torchjoint.datasets.files.exr import read_exr
+    from torchjoint.datasets.formats.record3d import read_exr
 
     channels = {f"c{index:02}": np.zeros((10, 10), np.float16) for index in range(24)}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}

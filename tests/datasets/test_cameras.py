@@ -11,7 +11,6 @@ from torchjoint.datasets.cameras import (
     rotations_from_quaternions,
     scale_intrinsics,
     undistort,
-    undistort_fisheye,
 )
 from torchjoint.datasets.files.text import frame_names, path_inside
 
@@ -139,11 +138,11 @@ class TestDistortion:
     @pytest.mark.parametrize("wrong", [(1e6, 0, 0, 0), (-3, 0, 0, 0), (3, 0, 0, 0)])
     def test_a_fisheye_that_cannot_be_undone(self, wrong):
         with pytest.raises(ValueError, match=r"camera: (distortion .* cannot be undone|images of .* cannot be)"):
-            undistort_fisheye(self.dot(30, 40), None, self.MATRIX, wrong)
+            undistort(self.dot(30, 40), None, self.MATRIX, wrong, fisheye=True)
 
     def test_a_fisheye_keeps_its_depth(self):
         depth = torch.full(self.SIZE, 2.0)
-        straight, of_pixels, matrix = undistort_fisheye(self.dot(81, 57), depth, self.MATRIX, (0.01, 0, 0, 0))
+        straight, of_pixels, matrix = undistort(self.dot(81, 57), depth, self.MATRIX, (0.01, 0, 0, 0), fisheye=True)
         assert straight[0].argmax() == 57 * 160 + 81  # the middle stays
         assert (of_pixels == 2).all()
         assert torch.equal(matrix, self.MATRIX)

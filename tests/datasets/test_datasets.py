@@ -11,12 +11,12 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.datasets.cameras import invert_pose
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint, read_array, read_depth, read_image
 from torchjoint.datasets.formats.folder import read_frames
 from torchjoint.datasets.fusion import fuse_cloud
-from torchjoint.datasets.recording import invert_pose
 from torchjoint.results.output_folder import output_folder, own_files
 
 

@@ -18,7 +18,7 @@ import pytest
 import torch
 
 from torchjoint.engine import Engine, WorkerDied, open_engine, opening
-from torchjoint.engine.worker import Answer, SharedFile
+from torchjoint.engine.engine import Answer, SharedFile
 
 # Two workers each, whatever the number of cores: a warning is all.
 ENGINES = ["loky:2", "dask:2", "ray:2"]

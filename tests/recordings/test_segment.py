@@ -11,7 +11,7 @@ from test_batch import HereExecutor
 
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.engine.worker import SHARED
+from torchjoint.engine.engine import SHARED
 from torchjoint.recordings.segment import evidence_of_chunks, run, segment_recording
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.files import file_checksum

@@ -15,6 +15,7 @@ from splat_files import splat_file, splat_rows
 import torchjoint as tj
 from torchjoint.datasets.files import meshes
 from torchjoint.datasets.files.ply import read_ply, read_vertex_property
+from torchjoint.datasets.formats import cloud_alone
 from torchjoint.results.folder import write_result
 from torchjoint.results.labelled_file import label_file, nearest_labels, part_files
 
@@ -214,7 +215,7 @@ def test_a_mesh_of_a_survey_is_as_exact_in_a_glb(tmp_path):
 def test_points_on_a_mesh_are_even_and_in_its_colours():
     corners = torch.tensor([[0.0, 0, 0], [2, 0, 0], [0, 1, 0], [5, 0, 0], [5, 3, 0], [5, 0, 2]])
     with pytest.warns(UserWarning, match="are drawn on them"):
-        points, colors = meshes.points_on(corners, torch.tensor([[0, 1, 2], [3, 4, 5]]), corners / 5, "a")
+        points, colors = cloud_alone.points_on(corners, torch.tensor([[0, 1, 2], [3, 4, 5]]), corners / 5, "a")
     of_first = points[:, 0] < 3
     assert float(of_first.double().mean()) == pytest.approx(1 / 4, abs=0.01)  # the areas are 1 and 3
     assert torch.allclose(points[of_first].mean(0), torch.tensor([2 / 3, 1 / 3, 0]).double(), atol=0.01)
@@ -227,14 +228,14 @@ def test_triangles_give_a_mesh_its_normals(tmp_path):
     ball = trimesh.creation.icosphere(subdivisions=5)
     points = torch.from_numpy(np.concatenate([ball.vertices, [[0, 0, 1.1]]]))  # the last has no triangle
     faces, outwards = torch.from_numpy(ball.faces).long(), torch.nn.functional.normalize(points, dim=1)
-    normals = meshes.vertex_normals(points, faces)
+    normals = cloud_alone.vertex_normals(points, faces)
     assert (normals - outwards).norm(dim=1).max() < 0.05
-    assert torch.allclose(meshes.vertex_normals(points, faces.flip(1)), -normals)
+    assert torch.allclose(cloud_alone.vertex_normals(points, faces.flip(1)), -normals)
     torn = faces.clone()
     torn[::3] = torn[::3].flip(1)
-    assert meshes.vertex_normals(points, torn) is None  # no common side
-    assert meshes.vertex_normals(points[faces].reshape(-1, 3), torch.arange(faces.numel()).view(-1, 3)) is None
-    assert meshes.vertex_normals(torch.zeros(3, 3), torch.tensor([[0, 1, 2], [0, 2, 1]])) is None
+    assert cloud_alone.vertex_normals(points, torn) is None  # no common side
+    assert cloud_alone.vertex_normals(points[faces].reshape(-1, 3), torch.arange(faces.numel()).view(-1, 3)) is None
+    assert cloud_alone.vertex_normals(torch.zeros(3, 3), torch.tensor([[0, 1, 2], [0, 2, 1]])) is None
     mesh = trimesh.Trimesh(points.numpy(), faces.numpy(), process=False)
     (tmp_path / "ball.ply").write_bytes(mesh.export(file_type="ply", vertex_normal=False))
     assert torch.allclose(tj.load_scene(tmp_path / "ball.ply").normals, normals, atol=1e-4)
@@ -245,8 +246,8 @@ def test_a_fine_mesh_has_its_vertices():
     points = torch.stack([*torch.meshgrid(line, line, indexing="ij"), torch.zeros(60, 60)], -1).reshape(-1, 3)
     a = (torch.arange(59)[:, None] * 60 + torch.arange(59)).flatten()
     faces = torch.cat([torch.stack([a, a + 1, a + 60], 1), torch.stack([a + 1, a + 61, a + 60], 1)])
-    assert not meshes.has_large_triangles(points, faces)
-    assert meshes.has_large_triangles(SQUARES, FACES)
+    assert not cloud_alone.has_large_triangles(points, faces)
+    assert cloud_alone.has_large_triangles(SQUARES, FACES)
 
 
 def test_the_nearest_point_decides():

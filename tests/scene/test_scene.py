@@ -4,7 +4,7 @@ import torch
 
 from torchjoint import Config, Frame, Scene, superpoints
 from torchjoint.masks import from_labels
-from torchjoint.recordings.options import RecordingOptions
+from torchjoint.recordings.segment import RecordingOptions
 from torchjoint.scene import Truth
 
 K = torch.tensor([[100.0, 0, 31.5], [0, 100, 23.5], [0, 0, 1]])

@@ -11,8 +11,8 @@ import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, place_to_split, read_edits, write_edits
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.parts import Parts, edited
+from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
-from torchjoint.results.shading import Shading
 from torchjoint.scene import Hierarchy, Scene, Segmentation
 from torchjoint.viewer.cloud import blocks_of, pick_point
 from torchjoint.viewer.model import Model, export_selected

@@ -15,7 +15,7 @@ import tyro
 from torchjoint.config import Config, marked_table, parameter_table, presets, superpoint_table
 from torchjoint.datasets.files.clouds import SUFFIXES
 from torchjoint.datasets.formats import FORMATS
-from torchjoint.recordings.options import RecordingOptions
+from torchjoint.recordings.segment import RecordingOptions
 from torchjoint.results.folder import is_part
 from torchjoint.runtime.outputs import Output, check_no_input
 

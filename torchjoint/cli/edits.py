@@ -10,8 +10,7 @@ import tyro
 
 from torchjoint.results.boxes import read_boxes
 from torchjoint.results.edits import FILE, read_edits
-from torchjoint.results.folder import parts_of
-from torchjoint.results.loading import load_result
+from torchjoint.results.folder import load_result, parts_of
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.shared_edits import edits_of_boxes, edits_of_points, read_point_labels, save_edits
 from torchjoint.runtime.messages import say

@@ -13,9 +13,8 @@ from torchjoint.datasets.files import las
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.exports.boxes import export_geojson, export_labelcloud
-from torchjoint.results.folder import parts_of, read_origin
+from torchjoint.results.folder import load_result, parts_of, read_origin
 from torchjoint.results.labelled_file import label_file
-from torchjoint.results.loading import load_result
 from torchjoint.results.mask_report import select_masked
 from torchjoint.runtime.messages import say
 

@@ -9,9 +9,8 @@ import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
 from torchjoint.datasets.files import las
-from torchjoint.results.folder import parts_of
+from torchjoint.results.folder import load_result, parts_of
 from torchjoint.results.labelled_file import label_file, part_files
-from torchjoint.results.loading import load_result
 from torchjoint.runtime.messages import say
 
 

@@ -21,8 +21,7 @@ from torch import Tensor
 from torchjoint.cli.arguments import output_file
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
-from torchjoint.results.folder import parts_of, read_source
-from torchjoint.results.loading import load_result
+from torchjoint.results.folder import load_result, parts_of, read_source
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.runtime.messages import say

@@ -5,7 +5,7 @@ OpenCV's perspective and fisheye lenses are undone in images and their depth.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.scene import Frame
-from torchjoint.scene.checks import as_intrinsics
+from torchjoint.scene.checks import as_intrinsics, as_pose
+from torchjoint.scene.frame import camera_center
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -28,9 +29,8 @@ FLIP_YZ = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 #: Largest difference between a quaternion's length and 1: files give at least two digits.
 UNIT_TOLERANCE = 0.02
 Size = tuple[int, int]  # (W, H), as in OpenCV
-#: For (intrinsics, coefficients, size): the intrinsics of the undistorted image, and the column and row of each of its
-#: pixels in the distorted image.
-Lens = Callable[[Matrix, Matrix, Size], tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]]
+#: The intrinsics of an undistorted image, and the column and row of each of its pixels in the distorted image.
+Straight = tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +44,6 @@ class Camera:
             fisheye: k1, k2, k3, k4, as for ``cv2.fisheye``.
         name: used in messages.
         fisheye: the lens is a fisheye: without distortion, the radius in the image grows with the angle.
-
-    Raises:
-        ValueError: numbers that are not finite; a focal length or size that is not positive.
     """
 
     intrinsics: Tensor
@@ -76,10 +73,9 @@ class Camera:
         intrinsics = self.intrinsics if self.size is None else scale_intrinsics(self.intrinsics, self.size, size, what)
         if depth is not None:
             depth = resize_depth(depth, size, name)
-        if self.fisheye:
-            image, depth, intrinsics = undistort_fisheye(image, depth, intrinsics, self.distortion, self.name)
-        elif any(self.distortion):
-            image, depth, intrinsics = undistort(image, depth, intrinsics, self.distortion, self.name)
+        if self.fisheye or any(self.distortion):
+            lens = (self.distortion, self.name, self.fisheye)
+            image, depth, intrinsics = undistort(image, depth, intrinsics, *lens)
         return Frame(image, intrinsics, world_to_camera, depth=depth, name=name)
 
 
@@ -88,12 +84,23 @@ def pinhole_matrix(fx: float, fy: float, cx: float, cy: float, *, center: float 
     return torch.tensor([[fx, 0, cx - center], [0, fy, cy - center], [0, 0, 1]], dtype=torch.float64)
 
 
+def pinhole(numbers: Iterable[float], name: str) -> Camera:
+    """Returns a camera without distortion, of fx fy cx cy width height; pixel centres have integer coordinates."""
+    fx, fy, cx, cy, width, height = numbers
+    return Camera(pinhole_matrix(fx, fy, cx, cy), (round(height), round(width)), name=name)
+
+
 def scale_intrinsics(intrinsics: Tensor, old: tuple[int, int], new: tuple[int, int], name: str = "image") -> Tensor:
-    """Returns intrinsics [3, 3] for images that were resized from (H, W) `old` to `new`.
+    """Returns intrinsics [3, 3] for images that were resized from (H, W) `old` to `new`, which has the same shape."""
+    _check_same_shape(old, new, name)
+    return stretch_intrinsics(intrinsics, old, new)
+
+
+def stretch_intrinsics(intrinsics: Tensor, old: tuple[int, int], new: tuple[int, int]) -> Tensor:
+    """Returns intrinsics [3, 3] for images that were resized from (H, W) `old` to `new`, each axis independently.
 
     Resizing maps image corners to image corners; with integer pixel centres the corners are at -1/2 and W - 1/2.
     """
-    _check_same_shape(old, new, name)
     scale = torch.tensor([new[1] / old[1], new[0] / old[0], 1.0], dtype=torch.float64)
     scaled = intrinsics * scale[:, None]
     scaled[:2, 2] += (scale[:2] - 1) / 2
@@ -122,6 +129,43 @@ def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:
     return Rotation.from_quat(quaternions)
 
 
+def poses_from_quaternions(quaternions: Matrix, positions: Matrix, name: str) -> Tensor:
+    """Converts unit quaternions [N, 4], x y z w, and translations [N, 3] to rigid transforms [N, 4, 4] float64."""
+    poses = torch.eye(4, dtype=torch.float64).repeat(len(quaternions), 1, 1)
+    if len(quaternions):
+        poses[:, :3, :3] = torch.from_numpy(rotations_from_quaternions(quaternions, name).as_matrix())
+        poses[:, :3, 3] = torch.from_numpy(positions)
+    return poses
+
+
+def rotations_about(axis: int, angles: Tensor) -> Tensor:
+    """Returns rotations [N, 3, 3] about axis x, y or z (0, 1, 2) by angles [N] in radians."""
+    rotations = torch.eye(3, dtype=torch.float64).repeat(len(angles), 1, 1)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    rotations[:, first, first] = rotations[:, second, second] = angles.cos()
+    rotations[:, first, second], rotations[:, second, first] = -angles.sin(), angles.sin()
+    return rotations
+
+
+def invert_pose(pose: Tensor) -> Tensor:
+    """Returns the inverse of a rigid transform [4, 4], for example world-to-camera from camera-to-world."""
+    inverse = torch.eye(4, dtype=pose.dtype)
+    inverse[:3, :3] = pose[:3, :3].T
+    inverse[:3, 3] = camera_center(pose)
+    return inverse
+
+
+def checked_pose(pose: Tensor, name: str) -> Tensor:
+    """Checks a rigid transform [4, 4] or [3, 4]; returns it as [4, 4] float64."""
+    return as_pose(torch.cat([pose, torch.eye(4, dtype=pose.dtype)[3:]]) if len(pose) == 3 else pose, name)
+
+
+def world_to_camera(camera_to_world: Tensor, name: str, *, opengl: bool = False) -> Tensor:
+    """Checks a camera-to-world pose, [4, 4] or [3, 4], of OpenCV's or OpenGL's axes; returns its inverse."""
+    pose = checked_pose(camera_to_world, name)
+    return invert_pose(pose @ FLIP_YZ if opengl else pose)
+
+
 def _check_same_shape(old: tuple[int, int], new: tuple[int, int], name: str) -> None:
     # Sizes are integers: half of 1051 is 525 or 526.
     if abs(new[1] * old[0] - new[0] * old[1]) > max(old):
@@ -130,9 +174,17 @@ def _check_same_shape(old: tuple[int, int], new: tuple[int, int], name: str) -> 
 
 
 def undistort(
-    image: Tensor, depth: Tensor | None, intrinsics: Tensor, distortion: tuple[float, ...], name: str = "camera"
+    image: Tensor,
+    depth: Tensor | None,
+    intrinsics: Tensor,
+    distortion: tuple[float, ...],
+    name: str = "camera",
+    fisheye: bool = False,
 ) -> tuple[Tensor, Tensor | None, Tensor]:
     """Undistorts image and depth; crops the view to pixels that the image covers, as nerfstudio and COLMAP do.
+
+    Of a fisheye, the focal length stays, and so does the resolution in the middle. The image shows what fits into its
+    size: of a lens that sees 180 degrees from edge to edge, about 115.
 
     Args:
         image: [3, H, W] uint8.
@@ -140,35 +192,17 @@ def undistort(
         intrinsics: [3, 3] of the distorted image, pixels.
         distortion: as in :class:`~torchjoint.datasets.cameras.Camera`.
         name: used in messages.
+        fisheye: the lens is a fisheye.
 
     Returns:
         Image, depth and intrinsics, undistorted; the image size does not change.
-
-    Raises:
-        ValueError: the distortion model cannot be inverted in this image.
     """
-    return _resample(_perspective, image, depth, intrinsics, distortion, name)
-
-
-def undistort_fisheye(
-    image: Tensor, depth: Tensor | None, intrinsics: Tensor, distortion: tuple[float, ...], name: str = "camera"
-) -> tuple[Tensor, Tensor | None, Tensor]:
-    """As :func:`undistort`, for a fisheye with k1, k2, k3, k4.
-
-    The focal length stays, and so does the resolution in the middle. The image shows what fits into its size: of a lens
-    that sees 180 degrees from edge to edge, about 115.
-    """
-    return _resample(_fisheye, image, depth, intrinsics, distortion, name)
-
-
-def _resample(
-    lens: Lens, image: Tensor, depth: Tensor | None, intrinsics: Tensor, distortion: tuple[float, ...], name: str
-) -> tuple[Tensor, Tensor | None, Tensor]:
     import cv2
 
     size = (image.shape[2], image.shape[1])
     try:
-        after, columns, rows = lens(intrinsics.numpy(), np.array(distortion, dtype=np.float64), size)
+        straighten = _fisheye if fisheye else _perspective
+        after, columns, rows = straighten(intrinsics.numpy(), np.array(distortion, dtype=np.float64), size)
         pixels = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
         straight = cv2.remap(pixels, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         of_depth = None if depth is None else cv2.remap(depth.contiguous().numpy(), columns, rows, cv2.INTER_NEAREST)
@@ -183,7 +217,7 @@ def _resample(
     )
 
 
-def _perspective(before: Matrix, coefficients: Matrix, size: Size) -> tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]:
+def _perspective(before: Matrix, coefficients: Matrix, size: Size) -> Straight:
     import cv2
 
     after = np.asarray(cv2.getOptimalNewCameraMatrix(before, coefficients, size, 0)[0], dtype=np.float64)
@@ -200,7 +234,7 @@ def _perspective(before: Matrix, coefficients: Matrix, size: Size) -> tuple[Matr
     return after, *cv2.initUndistortRectifyMap(before, coefficients, np.eye(3), after, size, cv2.CV_32FC1)
 
 
-def _fisheye(before: Matrix, coefficients: Matrix, size: Size) -> tuple[Matrix, npt.NDArray[Any], npt.NDArray[Any]]:
+def _fisheye(before: Matrix, coefficients: Matrix, size: Size) -> Straight:
     import cv2
 
     after = before.copy()

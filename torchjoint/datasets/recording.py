@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,9 +20,8 @@ from torchjoint.datasets.fusion import fuse_or_recall
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.outputs import Output
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene
+from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import Invalid
-from torchjoint.scene.frame import camera_center
 
 #: Suffixes of a file `cloud` in a recording's folder; the first that exists is used.
 CLOUD_SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".copc.laz", ".e57")
@@ -44,8 +43,31 @@ class Options:
     recording: Path | None = None  #: the path that was given: of several recordings in a folder, one
 
 
-def scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path] = ()) -> Scene:
-    """Makes a scene from a folder's frames, with the cloud of :func:`find_cloud`, or else with a fused cloud."""
+def scene_of_frames(
+    path: Path,
+    frames: Sequence[Frame],
+    options: Options,
+    clouds: Sequence[Path] = (),
+    *,
+    instances: Callable[[Tensor], Tensor | None] | None = None,
+    images: Sequence[Tensor] = (),
+) -> Scene:
+    """Makes a scene from a folder's frames, with the cloud of :func:`find_cloud`, or else with a fused cloud.
+
+    Args:
+        path: the folder.
+        frames: posed ones.
+        options: of `load_scene`.
+        clouds: the format's own clouds.
+        instances: the true instance of each point [N, 3] of the first of these, or None.
+        images: the true instances of the frames' pixels.
+    """
+    scene, file = _scene_of_frames(path, frames, options, clouds), find_cloud(path, options, clouds)
+    points = instances(scene.points) if instances is not None and file == clouds[0] else None
+    return replace(scene, truth=Truth(points, images)) if points is not None or images else scene
+
+
+def _scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path]) -> Scene:
     file = find_cloud(path, options, clouds)
     if file is not None:
         cloud = read_cloud_file(file, invalid=options.invalid, least_opacity=options.least_opacity)
@@ -67,28 +89,24 @@ def find_cloud(path: Path, options: Options, clouds: Sequence[Path] = ()) -> Pat
     return next((file for file in candidates if file is not None and has_file(file)), None)
 
 
-def invert_pose(pose: Tensor) -> Tensor:
-    """Returns the inverse of a rigid transform [4, 4], for example world-to-camera from camera-to-world."""
-    inverse = torch.eye(4, dtype=pose.dtype)
-    inverse[:3, :3] = pose[:3, :3].T
-    inverse[:3, 3] = camera_center(pose)
-    return inverse
-
-
 class Shot(NamedTuple):
     """What is known of a frame before its files are read."""
 
-    color: Path
+    color: Path | Callable[[], Tensor]  #: 8-bit; or what reads it as [3, H, W] uint8
     camera: Camera
     world_to_camera: Tensor  #: [4, 4]
     name: str
-    depth: Path | None = None  #: 16-bit; without depth if the file is not there
-    unit: float = 0.001  #: of depth, metres
+    depth: Path | Callable[[], Tensor | None] | None = None  #: 16-bit, none if the file is not there; or what reads it
+    unit: float = 0.001  #: of a depth file, metres
 
     def read(self) -> Frame:
         """Reads the frame."""
-        depth = read_depth(self.depth, self.unit) if self.depth is not None and has_file(self.depth) else None
-        return self.camera.frame(read_image(self.color, self.camera.size), self.world_to_camera, depth, self.name)
+        if isinstance(self.depth, Path):
+            depth = read_depth(self.depth, self.unit) if has_file(self.depth) else None
+        else:
+            depth = None if self.depth is None else self.depth()
+        image = read_image(self.color, self.camera.size) if isinstance(self.color, Path) else self.color()
+        return self.camera.frame(image, self.world_to_camera, depth, self.name)
 
 
 def tell_left_out(name: str, left: int, total: int, why: str = "have no pose") -> None:
@@ -107,6 +125,22 @@ def tell_unlisted(name: str, files: Sequence[Path], left: int = 0, why: str = ""
     folders, used = {file.parent for file in files}, set(files)
     beside = {one for folder in folders for one in folder.iterdir() if (folder, _without_number(one)) in kinds}
     tell_left_out(name, len(beside - used), len(beside | used))
+
+
+def sorted_images(folder: Path, files: Iterable[Path]) -> list[Path]:
+    """Images of a folder, sorted by the number at the end of their names, 2 before 10; each frame has one."""
+    by_stem: dict[str, Path] = {}
+    for file in files:
+        stem = file.stem.removesuffix(".color")
+        if stem in by_stem:
+            raise ValueError(f"{folder}: frame {stem!r} has two colour images")
+        by_stem[stem] = file
+    return [by_stem[stem] for stem in sorted(by_stem, key=_number_and_name)]
+
+
+def _number_and_name(stem: str) -> tuple[int, str]:
+    digits = stem[len(stem.rstrip("0123456789")) :]
+    return int(digits[-18:] or -1), stem
 
 
 def _without_number(file: Path) -> str:

@@ -9,8 +9,7 @@
     # 1 None integer division or modulo by zero
 """
 
-from torchjoint.engine.engine import Engine, Outcome, WorkerDied
+from torchjoint.engine.engine import Engine, Outcome, SharedFile, WorkerDied
 from torchjoint.engine.opening import EngineLike, open_engine
-from torchjoint.engine.worker import SharedFile
 
 __all__ = ["Engine", "EngineLike", "Outcome", "SharedFile", "WorkerDied", "open_engine"]

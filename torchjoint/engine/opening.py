@@ -16,8 +16,7 @@ from typing import Any
 import joblib
 from joblib.externals.loky.process_executor import ProcessPoolExecutor
 
-from torchjoint.engine.engine import Engine
-from torchjoint.engine.worker import end_with
+from torchjoint.engine.engine import Engine, end_with
 from torchjoint.runtime.messages import needed_for
 
 logger = logging.getLogger(__name__)

@@ -18,8 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from torchjoint.config import Config
-from torchjoint.datasets.depth_agreement import warn_of_poses
-from torchjoint.datasets.fusion import FAR, add_frame, check_unit, surface_cloud, volume_origin
+from torchjoint.datasets.fusion import FAR, add_frame, check_unit, surface_cloud, volume_origin, warn_of_poses
 from torchjoint.datasets.volume import Volume
 from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
 from torchjoint.joint import developed, prepare

@@ -19,8 +19,8 @@ from tqdm import tqdm
 from torchjoint.config import Config
 from torchjoint.engine import EngineLike, Outcome, WorkerDied, open_engine
 from torchjoint.recordings.one_scene import Job, SceneReport, check_origin, is_done, report_of, run_scene
-from torchjoint.recordings.options import RecordingOptions
 from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_recordings
+from torchjoint.recordings.segment import RecordingOptions
 from torchjoint.results.checkpoint import model_checksums
 from torchjoint.results.folder import read_origin
 from torchjoint.runtime.files import remove_partial_files, write_text

@@ -13,8 +13,7 @@ import torch
 
 from torchjoint.config import Config
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.recordings.options import RecordingOptions
-from torchjoint.recordings.segment import segment_recording
+from torchjoint.recordings.segment import RecordingOptions, segment_recording
 from torchjoint.results.folder import Origin, read_origin, read_record
 from torchjoint.results.output_folder import own_files
 from torchjoint.runtime.foreign_files import has_file, is_there

@@ -6,7 +6,6 @@ import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -50,17 +49,12 @@ class Crop:
         return f"Crop({self.name!r}: {width} x {height} pixels, {self.pixels} of the segment, {self.whole:.0%} whole)"
 
 
-class Camera(NamedTuple):
-    """The camera of a frame, without its image."""
+#: The camera of a frame: intrinsics, world-to-camera, (H, W).
+Camera = tuple[Tensor, Tensor, tuple[int, int]]
 
-    intrinsics: Tensor
-    world_to_camera: Tensor
-    size: tuple[int, int]
 
-    @classmethod
-    def of(cls, frame: Frame) -> Camera:
-        """The camera of a frame."""
-        return cls(frame.intrinsics, frame.world_to_camera, frame.size)
+def _camera(frame: Frame) -> Camera:
+    return frame.intrinsics, frame.world_to_camera, frame.size
 
 
 def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, margin: float = 0.1) -> list[Crop]:
@@ -79,10 +73,6 @@ def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, mar
 
     Returns:
         at most `k` crops; fewer if fewer frames see the segment.
-
-    Raises:
-        TypeError: the id is no integer.
-        ValueError: an unknown id, k < 1, a negative margin, or a scene without the frames of the result.
     """
     segment = check_segment(segment, result.num_point_segments)
     if k < 1 or not margin >= 0:
@@ -91,7 +81,7 @@ def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, mar
         raise ValueError(f"scene: expected the {len(result.images)} frames of the result, got {len(scene.frames)}")
     counts = parallel_map(lambda index: int((result.images[index] == segment).sum()), range(len(result.images)))
     seen = {index: count for index, count in enumerate(counts) if count}
-    return crops_of(scene, result, segment, seen, {index: Camera.of(scene.frames[index]) for index in seen}, k, margin)
+    return crops_of(scene, result, segment, seen, {index: _camera(scene.frames[index]) for index in seen}, k, margin)
 
 
 def crops_of(
@@ -279,7 +269,7 @@ def embed(
     if not len(result.images) or len(result.images) != len(scene.frames):
         raise ValueError(f"result: expected frames, to see the segments, got {len(scene.frames)}")
     records = segment_records(scene, result)
-    cameras = dict(enumerate(parallel_map(lambda index: Camera.of(scene.frames[index]), range(len(scene.frames)))))
+    cameras = dict(enumerate(parallel_map(lambda index: _camera(scene.frames[index]), range(len(scene.frames)))))
     vectors: dict[int, Tensor] = {}
     for record in records:
         views = sorted(record.views, key=lambda view: (-view.pixels, view.frame))[:CANDIDATES]

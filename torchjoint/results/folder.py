@@ -6,13 +6,13 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from fnmatch import fnmatch
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -23,6 +23,9 @@ from torch import Tensor
 from torchjoint.config import Config, read_yaml
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_label_image
+from torchjoint.results.edits import FILE as EDITS
+from torchjoint.results.edits import read_edits
+from torchjoint.results.embeddings import read_embeddings
 from torchjoint.results.figures import overview
 from torchjoint.results.inputs import CAMERAS, read_inputs, read_names, write_inputs
 from torchjoint.results.manifest import FILE as MANIFEST
@@ -31,14 +34,18 @@ from torchjoint.results.manifest import (
     PIECES,
     PNG,
     Check,
+    open_manifest,
     read_hierarchy,
     read_piece_image,
     unchecked,
     write_hierarchy,
     write_manifest,
 )
+from torchjoint.results.mask_report import names_of_masks
 from torchjoint.results.objects import write_segments
+from torchjoint.results.parts import Parts, edited
 from torchjoint.results.render import label_colors
+from torchjoint.results.result import Result
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.foreign_files import damage_is, has_file, no_twice, present
@@ -47,6 +54,7 @@ from torchjoint.runtime.threads import LazySequence, on_cpu, parallel_map
 from torchjoint.scene import Cloud, LabelImages, Scene, Segmentation
 from torchjoint.scene.checks import as_labels
 
+T = TypeVar("T")
 #: Largest label in a 16-bit label image, which stores label + 1; 0 = none.
 MAX_LABEL = 2**16 - 2
 
@@ -188,52 +196,54 @@ def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
     return Segmentation(labels, images, names=names, hierarchy=hierarchy, piece_images=piece_images)
 
 
+def read_run(folder: Path, parse: Callable[[Any], T]) -> T:
+    """Reads run.yaml of a result.
+
+    Args:
+        folder: the result.
+        parse: makes a value of the file's content; an error of it is one of the file.
+    """
+    file = present(folder / "run.yaml", "a folder that `torchjoint segment` wrote")
+    return read_yaml(file, parse, "a record of a run")
+
+
 def read_config(folder: Path) -> Config:
     """Reads the parameters of the run that made a result."""
-    return read_yaml(_run_file(folder), lambda record: Config.from_dict(record.get("config")), "a record of a run")
+    return read_run(folder, lambda record: Config.from_dict(record.get("config")))
 
 
 def read_source(folder: Path) -> str:
-    """Reads the input of the run that made a result: the recording's path, as it was given to `segment`.
-
-    Raises:
-        FileNotFoundError: there is no run.yaml.
-        ValueError, TypeError: run.yaml is damaged; the message names the file.
-    """
-    return read_yaml(_run_file(folder), lambda record: str(record.get("scene")), "a record of a run")
+    """Reads the input of the run that made a result: the recording's path, as it was given to `segment`."""
+    return read_run(folder, lambda record: str(record.get("scene")))
 
 
 def read_origin(folder: Path) -> Origin:
-    """Reads what a result was made from. Raises as :func:`read_source`."""
+    """Reads what a result was made from."""
 
     def origin(record: Any) -> Origin:
         scene, known = os.path.abspath(str(record["scene"])), record.get("fingerprint")
         return Origin(scene, known, record["versions"]["torchjoint"], Config.from_dict(record["config"]))
 
-    return read_yaml(_run_file(folder), origin, "a record of a run")
+    return read_run(folder, origin)
 
 
 def read_granularity(folder: Path) -> float | None:
-    """Reads the level of a result's labels; None if it has no levels. Raises as :func:`read_source`."""
+    """Reads the level of a result's labels; None if it has no levels."""
 
     def level(record: Any) -> float | None:
         return None if record.get("granularity") is None else float(record["granularity"])
 
-    return read_yaml(_run_file(folder), level, "a record of a run")
+    return read_run(folder, level)
 
 
 def read_record(folder: Path) -> tuple[dict[str, int], dict[str, float]]:
-    """Reads a result's counts (points, frames, point_segments) and the seconds of its parts. Raises as read_source."""
+    """Reads a result's counts (points, frames, point_segments) and the seconds of its parts."""
 
     def numbers(record: Any) -> tuple[dict[str, int], dict[str, float]]:
         counts = {name: int(record["counts"][name]) for name in ("points", "frames", "point_segments")}
         return counts, {str(part): float(value) for part, value in record["seconds"].items()}
 
-    return read_yaml(_run_file(folder), numbers, "a record of a run")
-
-
-def _run_file(folder: Path) -> Path:
-    return present(folder / "run.yaml", "a folder that `torchjoint segment` wrote")
+    return read_run(folder, numbers)
 
 
 def _write_label_images(folder: Path, result: Segmentation) -> int:
@@ -278,3 +288,55 @@ def _run_record(
         "config": config.to_dict(),
         "manifest": MANIFEST,
     }
+
+
+@on_cpu()
+def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) -> Result:
+    """Reads a folder that ``torchjoint segment`` wrote: labels, all levels, the cloud, cameras and parameters.
+
+    :attr:`Result.embeddings <torchjoint.results.result.Result.embeddings>` are those that were saved with it.
+
+    Images and frames are read when they are used, in the order of their names. Frames have the images as they were
+    saved, in JPEG. A result of an earlier version has no frames.
+
+    The files must be those that the run wrote: manifest.json has their checksums. Images are compared when they are
+    read.
+
+    Args:
+        folder: the result.
+        edits: apply the corrections of edits.json, if there are any; ids are then renumbered. Levels from
+            :meth:`~torchjoint.Segmentation.at` do not contain the corrections.
+        verify: False: also read a result whose files were changed, lost or exchanged after the run.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError, TypeError: a file is damaged or of another result; the message names it.
+
+    Example::
+
+        result = load_result("out/")
+        result.images[0], result.at(0.3), result.crops(7, k=3)[0].image
+    """
+    folder = Path(folder)
+    stored, config = read_points(folder), read_config(folder)
+    check = open_manifest(folder) if verify else unchecked
+    segmentation = read_result(folder, check)
+    if verify:
+        _check_counts(folder, segmentation)
+    frames = read_inputs(folder, segmentation.names, check) if has_file(folder / CAMERAS) else ()
+    scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name)
+    values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
+    vectors = read_embeddings(folder, len(stored.points))
+    names = names_of_masks(folder)
+    result = Result(**values, scene=scene, config=config, saved_embeddings=vectors, segment_names=names)
+    if not edits or not has_file(folder / EDITS):
+        return result
+    return edited(result, read_edits(folder, Parts(result).count))
+
+
+def _check_counts(folder: Path, result: Segmentation) -> None:
+    """Compares the counts of run.yaml, which also version 0.1.0 wrote."""
+    expected, _ = read_record(folder)
+    got = {"points": len(result.points), "frames": len(result.images), "point_segments": result.num_point_segments}
+    if expected != got:
+        raise ValueError(f"{folder}: expected the counts of run.yaml, {expected}, got {got}; of another result?")

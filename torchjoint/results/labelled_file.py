@@ -121,9 +121,6 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
 
     Returns:
         [M] int64, their numbers; -1 where a point is not finite, or a beam without return.
-
-    Raises:
-        ValueError: half of the points are far from the result.
     """
     own, finite = result.scene.points, points.isfinite().all(1)
     if not bool(without_return(own).any()):
@@ -178,10 +175,6 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
         out: a .ply, .glb, .las or .laz file.
         result: the result.
         name: of the property.
-
-    Raises:
-        ModuleNotFoundError: trimesh or laspy is not installed; a .ply as .ply does not need them.
-        FileNotFoundError, ValueError: the message names the file and its error.
     """
     is_survey = [file.suffix.lower() in las.SUFFIXES for file in (source, out)]
     if is_survey[0] != is_survey[1]:

@@ -151,10 +151,7 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
 def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
     """Reads hierarchy.npz of a result that has `num_points` points."""
     file = folder / HIERARCHY
-    if not has_file(file):
-        raise FileNotFoundError(
-            f"{file}: missing; expected a result with all levels; point_segments.method paper makes one"
-        )
+    present(file, "a result with all levels; point_segments.method paper makes one")
     with damage_is(f"{file}: not a whole hierarchy", OSError):
         arrays = read_archive(file)
         piece, merges = (torch.from_numpy(arrays[name].astype(np.int64)) for name in ("piece", "merges"))

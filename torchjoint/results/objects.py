@@ -181,12 +181,7 @@ def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int
 
 
 def read_segments(folder: Path) -> tuple[dict[str, Any], Tensor]:
-    """The content of segments.json, and the labels that it describes, as :func:`stored_labels`.
-
-    Raises:
-        FileNotFoundError, ValueError: segments.json or points.npz is missing or damaged, segments.json is a link, or it
-            has other segments than points.npz.
-    """
+    """The content of segments.json, and the labels that it describes, as :func:`stored_labels`."""
     file, labels = folder / FILE, stored_labels(folder)
     if file.is_symlink():
         raise ValueError(f"{file}: expected a file, got a link")

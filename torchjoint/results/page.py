@@ -20,9 +20,8 @@ from torch import Tensor
 from torchjoint.results.edits import Edits
 from torchjoint.results.objects import level_axes
 from torchjoint.results.parts import Parts
-from torchjoint.results.render import label_colors
+from torchjoint.results.render import Shading, label_colors
 from torchjoint.results.result import Result
-from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction, view_from_above
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.messages import needed_for, printable

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -60,7 +61,7 @@ def _grown(hierarchy: Hierarchy, wanted: set[int], unwanted: set[int]) -> set[in
     """The pieces of the largest segments that contain a wanted piece and no unwanted one."""
     order = torch.argsort(hierarchy.heights, stable=True)
     merges, heights = hierarchy.merges[order].tolist(), hierarchy.heights[order].tolist()
-    limit = max(hierarchy.default, _height_of_all(hierarchy.num_pieces, merges, heights, wanted))
+    limit = max(hierarchy.default, _height_of_all(hierarchy, wanted))
     groups = DisjointSet(range(hierarchy.num_pieces))
     ended = [piece in unwanted for piece in range(hierarchy.num_pieces)]  # groups that cannot grow: one above has one
     for (a, b), height in zip(merges, heights, strict=True):
@@ -74,18 +75,15 @@ def _grown(hierarchy: Hierarchy, wanted: set[int], unwanted: set[int]) -> set[in
     return set().union(*(groups.subset(piece) for piece in wanted))
 
 
-def _height_of_all(count: int, merges: list[list[int]], heights: list[float], wanted: set[int]) -> float:
-    """The height at which all wanted pieces are in one segment; 0 if they never are."""
-    groups, first = DisjointSet(range(count)), min(wanted)
-    left = {piece for piece in wanted if piece != first}
-    for (a, b), height in zip(merges, heights, strict=True):
-        if not left:
-            return 0.0
-        groups.merge(a, b)
-        left = {piece for piece in left if not groups.connected(piece, first)}
-        if not left:
-            return height
-    return 0.0
+def _height_of_all(hierarchy: Hierarchy, wanted: set[int]) -> float:
+    """The height at which several wanted pieces are in one segment; 0 if they never are, or there is only one."""
+    heights = hierarchy.heights.unique().tolist()
+
+    def are_together(height: float) -> bool:
+        return len(hierarchy.segments_of_pieces(height)[list(wanted)].unique()) == 1
+
+    place = bisect_left(heights, True, key=are_together) if len(wanted) > 1 else len(heights)
+    return heights[place] if place < len(heights) else 0.0
 
 
 def _pieces(result: Segmentation, cloud: Tensor, prompts: Prompts, name: str, pixel_name: str) -> set[int]:

@@ -1,13 +1,17 @@
-"""Pictures of clouds, and the colours of labels."""
+"""Pictures of clouds, the colours of labels, and how bright a point is drawn (output after step 8)."""
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from torchjoint.cloud.neighbors import nearest_neighbors
+from torchjoint.cloud.normals import estimate_normals
 from torchjoint.config import VisibilityConfig
+from torchjoint.results.edits import Table
+from torchjoint.results.objects import level_axes
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
@@ -15,6 +19,16 @@ from torchjoint.scene.scene import evenly_spaced_indices
 from torchjoint.views.visibility import visible_points
 
 NONE_COLOR = 0.12
+#: Field of view of the pictures: focal length in image widths.
+FOCAL = 1.15
+#: A point is drawn as a square of at most 2 LARGEST + 1 pixels.
+LARGEST = 6
+#: Numbers of neighbours: of a normal, and of those whose label may differ at an edge.
+NORMAL, EDGE = 20, 6
+#: Direction of the light, along two level axes and up: walls and floors of a room get three different shades.
+LIGHT = (0.35, 0.55, 0.76)
+#: Brightness of a point that the light only grazes, and of an edge.
+GRAZED, DARK = 0.55, 0.55
 
 
 def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tensor:
@@ -43,12 +57,6 @@ def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tenso
         value = np.where(pale, 0.35 + 0.3 * value, value)
     colors = torch.from_numpy(hsv_to_rgb(np.stack([hue, saturation, value], axis=-1))).float()
     return torch.where(labels[..., None] < 0, NONE_COLOR, colors)
-
-
-#: Field of view of the pictures: focal length in image widths.
-FOCAL = 1.15
-#: A point is drawn as a square of at most 2 LARGEST + 1 pixels.
-LARGEST = 6
 
 
 @on_cpu()
@@ -113,3 +121,31 @@ def _up_and_forward(scene: Scene) -> tuple[Tensor, Tensor]:
     if float(forward.norm()) < 1e-3:  # cameras that look straight down, or in all directions
         forward = torch.linalg.cross(up, up.roll(1))
     return up, torch.nn.functional.normalize(forward, dim=0)
+
+
+class Shading:
+    """The shades of a cloud; its surfaces are two-sided, because the signs of the normals are arbitrary.
+
+    Args:
+        points: [N, 3] metres.
+        up: [3] upward direction, unit length.
+
+    Attributes:
+        light: [N] brightness of each point without edges, 0 to 1.
+    """
+
+    def __init__(self, points: Tensor, up: npt.NDArray[np.float64]) -> None:
+        indices = nearest_neighbors(points, NORMAL).indices
+        light = torch.from_numpy(np.array(LIGHT) @ np.concatenate([level_axes(up), up[None]])).float()
+        lit = (estimate_normals(points, indices) @ light).abs().numpy()
+        near = indices.numpy()
+        lit = sum((lit[column] for column in near.T), lit) / (1 + near.shape[1])  # else noise would be speckles
+        self.light = (GRAZED + (1 - GRAZED) * lit).astype(np.float32)
+        self._near, self._labels = near[:, :EDGE], np.empty(0, dtype=np.int64)
+
+    def of(self, labels: Table) -> npt.NDArray[np.float32]:
+        """[N] the brightness of each point, 0 to 1; `labels`: [N], edges are where they change."""
+        if not np.array_equal(labels, self._labels):  # a click does not change them
+            self._labels, is_edge = labels, (labels[self._near] != labels[:, None]).any(1)
+            self._shades = np.where(is_edge, DARK * self.light, self.light)
+        return self._shades

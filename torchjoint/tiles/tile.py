@@ -180,11 +180,7 @@ def _prefixed(name: str, arrays: OwnLabels | SharedLabels) -> dict[str, npt.NDAr
 
 
 def read_own(path: Path) -> OwnLabels:
-    """Reads the labels of a tile's own points from the file that :func:`segment_tile` wrote.
-
-    Raises:
-        ValueError: the file is damaged; the message names it.
-    """
+    """Reads the labels of a tile's own points from the file that :func:`segment_tile` wrote."""
     return OwnLabels(*_read(path, "own", OwnLabels._fields))
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from torch import Tensor
 
 from torchjoint.results.edits import Table
+from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
-from torchjoint.results.shading import Shading
 from torchjoint.results.shared_edits import save_edits
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.messages import printable

@@ -15,9 +15,9 @@ from torchjoint.labels.image_labels import label_image
 from torchjoint.labels.label import label_points
 from torchjoint.live import LiveResult
 from torchjoint.masks.folder import frame_names
-from torchjoint.results.loading import load_result
+from torchjoint.results.folder import load_result
+from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
-from torchjoint.results.shading import Shading
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene import Frame, Scene, Segmentation

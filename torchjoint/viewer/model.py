@@ -20,8 +20,8 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.edits import LONGEST, Edit, Edits, Table, place_to_split
 from torchjoint.results.exports.masks import export_coco
 from torchjoint.results.parts import Parts
+from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
-from torchjoint.results.shading import Shading
 from torchjoint.runtime.files import file_name, frame_files
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.viewer.measures import Measures, Row, kept_numbers

@@ -22,10 +22,17 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.formats.scannet import CLOUD, has_frames, read_frames
+from torchjoint.datasets.formats.scannet import (
+    CLOUD,
+    DEPTH_SIZE,
+    Calibration,
+    Cameras,
+    find_cameras,
+    has_frames,
+    read_frames,
+)
 from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
-from torchjoint.datasets.scannet_cameras import DEPTH_SIZE, Calibration, Cameras, find_cameras
-from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
+from torchjoint.datasets.truth import image_instances, vertex_instances
 from torchjoint.scene import Scene, Truth
 from torchjoint_lab.datasets.sis3d_volume import read_volume
 from torchjoint_lab.datasets.vertex_numbers import read_vertex_instances
@@ -109,8 +116,9 @@ def _is_scan(folder: Path) -> bool:
 def _point_truth(folders: Folders, points: Tensor, options: Options) -> Tensor | None:
     scan = folders.scan
     if find_cloud(folders.images, options, [folders.cloud]) == folders.cloud:
-        if has_point_instances(folders.mesh, scan):
-            return read_point_instances(folders.mesh, scan, len(points))
+        annotated = vertex_instances(folders.mesh, scan, points)
+        if annotated is not None:
+            return annotated
         vertices = folders.root / "gt_insts" / f"{scan}.txt"
         if vertices.is_file():
             return read_vertex_instances(vertices, len(points))

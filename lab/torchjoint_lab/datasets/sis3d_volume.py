@@ -85,5 +85,5 @@ def _x_fastest(file: BinaryFile, dtype: str) -> npt.NDArray[Any]:
     """Reads three lengths and X * Y * Z numbers; returns [X, Y, Z]."""
     x, y, z = file.read("3Q")
     if max(x, y, z) > file.size:  # an empty volume may claim any length
-        raise ValueError(f"{file.path}: expected at most {file.size} voxels a side, got {x} x {y} x {z}")
+        raise ValueError(f"{file.name}: expected at most {file.size} voxels a side, got {x} x {y} x {z}")
     return file.array(dtype, x * y * z).reshape(z, y, x).transpose(2, 1, 0).copy()

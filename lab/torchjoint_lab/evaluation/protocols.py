@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files.text import read_record
 from torchjoint.datasets.formats.scannetpp import truth_files
-from torchjoint.datasets.scannet_truth import OBJECTS, object_id, point_instances
+from torchjoint.datasets.truth import OBJECTS, object_id, point_instances
 from torchjoint.runtime.foreign_files import has_file, read_text
 
 Name = Literal["scannetv2", "scannet200", "scannetpp"]
@@ -110,7 +110,7 @@ def counted(truth: Tensor, scan: Path, name: Name, table: Path) -> Tensor:
         FileNotFoundError, ValueError: the scan has no annotation, or a file is damaged; the message names the file.
     """
     if name == "scannetpp":
-        return _counted_of_scannetpp(len(truth), scan, table)
+        return _counted_of_scannetpp(truth, scan, table)
     folder, stem = (scan.parent, scan.stem) if has_file(scan) else (scan, scan.name)
     class_of, classes = read_table(table, name), PROTOCOLS[name].classes
     of_object = read_object_classes(folder / f"{stem}{OBJECTS}")
@@ -124,7 +124,7 @@ def read_object_classes(objects_file: Path) -> dict[int, str]:
     return {object_id(group): group.text("label") for group in groups}
 
 
-def _counted_of_scannetpp(num_points: int, scan: Path, table: Path) -> Tensor:
+def _counted_of_scannetpp(points: Tensor, scan: Path, table: Path) -> Tensor:
     """A vertex belongs to the smallest of the objects that have one of the benchmark's classes; some do not count."""
     class_of = {raw: to or raw for raw, to in _pairs(table, "class", "semantic_map_to", ",")}
     segments, objects = truth_files(scan)
@@ -135,5 +135,6 @@ def _counted_of_scannetpp(num_points: int, scan: Path, table: Path) -> Tensor:
         classes = read_text(file, "the benchmark's classes, a line each", errors="replace").splitlines()
         return [one for one, found in of_object.items() if found in classes]
 
-    truth = point_instances(segments, objects, num_points, smallest=True, among=set(objects_of(CLASSES_PP)))
+    truth = point_instances(segments, objects, points, smallest=True, among=set(objects_of(CLASSES_PP)))
+    assert truth is not None  # the classes of the objects were read
     return torch.where(torch.isin(truth, torch.tensor(objects_of(INSTANCES_PP), dtype=torch.int64)), truth, -1)

@@ -11,8 +11,7 @@ import samples
 import torch
 
 import torchjoint as tj
-from torchjoint.datasets.files.exr import read_exr
-from torchjoint.datasets.files.lzfse import decompress
+from torchjoint.datasets.formats.record3d import decompress, read_exr
 from torchjoint.runtime import bounds
 
 

@@ -24,8 +24,7 @@ from scannet_files import (
 
 import torchjoint as tj
 from torchjoint.datasets.cameras import register_depth, resize_nearest
-from torchjoint.datasets.files.sens import SensFile
-from torchjoint.datasets.scannet_cameras import Calibration, find_cameras
+from torchjoint.datasets.formats.scannet import Calibration, SensFile, find_cameras
 
 SCAN = "scene0011_00"
 

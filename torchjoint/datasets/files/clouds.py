@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import las, meshes, text_clouds
-from torchjoint.datasets.files.columns import CloudFile, repaired, tell_not_read, unit_colors
+from torchjoint.datasets.files.columns import CloudFile, cloud_of, repaired, tell_not_read
 from torchjoint.datasets.files.e57 import read_e57
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.ply import read_ply
@@ -61,9 +61,6 @@ def read_cloud_file(
         invalid: what becomes of points that are NaN or infinite; a mesh loses the triangles of such points. "keep"
             keeps beams without return, too: many points at (0, 0, 0), which are left out otherwise, with a warning.
         least_opacity: fainter Gaussian splats are left out, with a warning.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error.
     """
     read = _read(path, columns)
     beams: Beams = "keep" if invalid == "keep" or read.faces is not None else "drop many"
@@ -157,18 +154,18 @@ def _from_archive(path: Path) -> CloudFile:
         raise ValueError(f"expected an array `points`, got {', '.join(values) or 'none'}")
     count = len(values["points"]) if values["points"].shape[1:] == (3,) else -1
     for name in ("points", "colors", "normals"):
-        if name in values and values[name].shape != (count, 3):
-            raise ValueError(f"{name}: expected a row of three numbers for each point, got {[*values[name].shape]}")
+        if name in values and (values[name].shape != (count, 3) or values[name].dtype.kind in "US"):
+            got = f"{values[name].dtype} {[*values[name].shape]}"
+            raise ValueError(f"{name}: expected a row of three numbers for each point, got {got}")
     tell_not_read(set(values) - {"points", "colors", "normals", "faces"}, str(path))
-    made = {name: torch.from_numpy(values[name]) for name in ("points", "normals", "faces") if name in values}
-    normals = made["normals"].float() if "normals" in made else None
-    colors = unit_colors(values["colors"]) if "colors" in values else None
-    points, faces = made["points"], made.get("faces") if len(values.get("faces", ())) else None
-    if faces is not None:
-        if faces.shape[1:] != (3,) or faces.is_floating_point() or not 0 <= faces.min() <= faces.max() < count:
-            raise ValueError(f"faces: expected rows of three of the {count} points, got {faces.dtype} {[*faces.shape]}")
-        faces = faces.long()
-    return CloudFile(points if points.is_floating_point() else points.double(), colors, normals, faces)
+    names = {"points": ("x", "y", "z"), "colors": ("r", "g", "b"), "normals": ("nx", "ny", "nz")}
+    columns = {name: values[array][:, at] for array in names if array in values for at, name in enumerate(names[array])}
+    cloud, faces = cloud_of(columns, str(path)), values.get("faces", np.empty(0))
+    if not len(faces):
+        return cloud
+    if faces.shape[1:] != (3,) or faces.dtype.kind not in "iu" or not 0 <= faces.min() <= faces.max() < count:
+        raise ValueError(f"faces: expected rows of three of the {count} points, got {faces.dtype} {[*faces.shape]}")
+    return cloud._replace(faces=torch.from_numpy(faces.astype(np.int64)))
 
 
 def _is_whole(letters: str) -> bool:

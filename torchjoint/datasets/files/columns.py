@@ -132,6 +132,16 @@ def unit_colors(colors: Array) -> Tensor:
     return torch.from_numpy((colors if white == 1 else colors / white).astype(np.float32))
 
 
+def typed(values: npt.NDArray[np.float64], kind: npt.DTypeLike, name: str, where: str) -> Array:
+    """Numbers from text in their own type; integers must fit into it."""
+    dtype = np.dtype(kind)
+    with np.errstate(over="ignore", invalid="ignore"):
+        converted: Array = values.astype(dtype, copy=False)
+    if dtype.kind != "f" and (converted != values).any():  # also of NaN
+        raise ValueError(f"{name}: expected integers of {dtype.itemsize * 8} bits in {where}")
+    return converted
+
+
 def repaired(cloud: CloudFile, name: str) -> CloudFile:
     """The cloud with values of the nearest points for NaN in colours, normals and opacities, and what is none of them.
 

@@ -16,14 +16,15 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.columns import CloudFile, cloud_of
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import damage_is, open_file
+from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".las", ".laz")
@@ -113,11 +114,7 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
 
 
 def las_chunks(reader: Any, path: Path, count: int = CHUNK) -> Iterator[Any]:
-    """The points of an open file in their order, `count` at a time, as laspy's records.
-
-    Raises:
-        ValueError: a damaged or truncated file.
-    """
+    """The points of an open file in their order, `count` at a time, as laspy's records."""
     left = reader.header.point_count
     while left > 0:
         with _clear_errors(path):
@@ -181,6 +178,7 @@ def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
 class LasHeader(NamedTuple):
     """The values of a header that the checks need."""
 
+    size: int  #: bytes of its fixed part
     points_at: int  #: byte of the first point
     num_records: int  #: variable length records, between header and points
     record_size: int  #: bytes of a point, not compressed
@@ -192,15 +190,16 @@ class LasHeader(NamedTuple):
 
 def check_header(path: Path) -> LasHeader:
     """Reads and checks the header of a file."""
-    with open_file(path, "a point cloud, .las or .laz") as stream, damage_is(f"{path}: not a whole LAS file"):
-        size = path.stat().st_size
-        header = _parse(stream.read(375))
+    present(path, "a point cloud, .las or .laz")
+    with BinaryFile(path, "its header") as file, damage_is(f"{path}: not a whole LAS file"):
+        size = file.size
+        header = _parse(file.read(f"{min(size, 375)}s")[0])
         end = header.extended_at if header.num_extended else size
-        _check_records(stream, header, size)
+        _check_records(file, header)
         if header.is_compressed:
             bounds.check_points(header.num_points, size)
             bounds.check_unpacked(header.num_points * header.record_size, size)
-            _check_chunks(stream, header, size)
+            _check_chunks(file, header)
         elif header.num_points * header.record_size > size - header.points_at:
             raise ValueError(
                 f"truncated: {header.num_points} points take {header.num_points * header.record_size} bytes, got "
@@ -233,40 +232,35 @@ def _parse(head: bytes) -> LasHeader:
     if not all(map(math.isfinite, places)) or 0 in places[:3]:
         raise ValueError(f"expected finite scales other than 0 and finite offsets, got {places}")
     compressed = bool(kind & COMPRESSED)
-    return LasHeader(points_at, num_records, record_size, num_points, compressed, extended_at, num_extended)
+    return LasHeader(
+        header_size, points_at, num_records, record_size, num_points, compressed, extended_at, num_extended
+    )
 
 
-def _check_records(stream: BinaryIO, header: LasHeader, size: int) -> None:
+def _check_records(file: BinaryFile, header: LasHeader) -> None:
     """Checks that the records before and after the points lie in the file."""
-    if header.points_at > size:
-        raise ValueError(f"truncated: the points begin at byte {header.points_at}, got {size} bytes")
-    stream.seek(94)
-    (place,) = struct.unpack("<H", stream.read(2))
+    file.place = header.size
     for _ in range(header.num_records):
-        stream.seek(place + 20)
-        place += RECORD + struct.unpack("<H", stream.read(2))[0]
-        if place > header.points_at:
-            raise ValueError(f"a variable length record ends at byte {place}, after the first point")
-    place = header.extended_at
-    if header.num_extended * EXTENDED_RECORD > size - place:
-        raise ValueError(f"truncated: {header.num_extended} extended records do not fit behind byte {place}")
+        file.skip(RECORD - 34)
+        file.skip(32 + file.read("H")[0])
+    if not file.place <= header.points_at <= file.size:
+        raise ValueError(f"the points begin at byte {header.points_at}: the records before them end at {file.place}")
+    file.place = header.extended_at
     for _ in range(header.num_extended):
-        stream.seek(place + 20)
-        place += EXTENDED_RECORD + struct.unpack("<Q", stream.read(8))[0]
-        if place > size:
-            raise ValueError(f"truncated: an extended record ends at byte {place}, got {size} bytes")
+        file.skip(EXTENDED_RECORD - 40)
+        file.skip(32 + file.read("Q")[0])
 
 
-def _check_chunks(stream: BinaryIO, header: LasHeader, size: int) -> None:
+def _check_chunks(file: BinaryFile, header: LasHeader) -> None:
     """Checks the number of chunks: each starts with an uncompressed point, so the file bounds their number."""
-    stream.seek(header.points_at)
-    (table_at,) = struct.unpack("<q", stream.read(8))
+    file.place = header.points_at
+    (table_at,) = file.read("q")
     if table_at == -1:  # a file that was written to a pipe: the position is at the end
-        stream.seek(size - 8)
-        (table_at,) = struct.unpack("<q", stream.read(8))
-    if not header.points_at < table_at <= size - 8:
-        raise ValueError(f"truncated: expected the table of chunks at byte {table_at}, got {size} bytes")
-    stream.seek(table_at)
-    _, num_chunks = struct.unpack("<II", stream.read(8))
+        file.place = file.size - 8
+        (table_at,) = file.read("q")
+    if not header.points_at < table_at <= file.size - 8:
+        raise ValueError(f"truncated: expected the table of chunks at byte {table_at}, got {file.size} bytes")
+    file.place = table_at
+    _, num_chunks = file.read("II")
     if num_chunks * header.record_size > table_at - header.points_at:
         raise ValueError(f"{num_chunks} chunks do not fit into {table_at - header.points_at} bytes")

@@ -1,4 +1,4 @@
-"""Meshes: .obj, .glb, .gltf, .off and .stl files by trimesh, and points on meshes of large triangles."""
+"""Reads meshes, .obj, .glb, .gltf, .off and .stl, with trimesh."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ import numpy.typing as npt
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from torchjoint.datasets.files.columns import CloudFile, unit_colors
 from torchjoint.datasets.files.readers import RASTERS, decode_image
@@ -29,12 +28,6 @@ from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".obj", ".glb", ".gltf", ".off", ".stl")
 Array = npt.NDArray[Any]
-#: A triangle is large if its longest edge is longer than this share of the mesh's diagonal.
-LARGE = 0.02
-#: Points are drawn if large triangles have more than this share of the area; this is the number of points.
-MUCH, SAMPLES = 0.1, 200_000
-#: Triangles agree on their outer side if this share of their edges runs the other way in a neighbouring triangle.
-AGREED = 0.9
 #: Formats of textures. TGA has no mark at its start, so it is tried last.
 TEXTURES = (*RASTERS, "TGA")
 #: Extensions of glTF that do not change where points are.
@@ -201,79 +194,6 @@ def _colors_of_off(data: bytes, count: int, name: str) -> Tensor | None:
     return unit_colors(values) if values.shape[1] == 3 else None
 
 
-def has_large_triangles(points: Tensor, faces: Tensor) -> bool:
-    """Whether the vertices of a mesh say little about its surface, as in models that are drawn and not scanned."""
-    corners = points[faces].double()
-    edges = (corners - corners.roll(1, 1)).norm(dim=2).amax(1)
-    area = _areas(corners)
-    diagonal = (points.double().amax(0) - points.double().amin(0)).norm()
-    return bool(area[edges > LARGE * diagonal].sum() > MUCH * area.sum())
-
-
-def vertex_normals(points: Tensor, faces: Tensor) -> Tensor | None:
-    """The mean normals of the triangles around each vertex, weighted by area; a vertex of none has the nearest one's.
-
-    Args:
-        points: [V, 3] vertices.
-        faces: [F, 3] int64, counter-clockwise from outside.
-
-    Returns:
-        [V, 3] float32 of unit length; None if the triangles do not agree on an outer side, as those of loose surfaces.
-    """
-    a, b = torch.stack([faces, faces.roll(-1, 1)]).flatten(1)
-    if float(torch.isin(b * len(points) + a, a * len(points) + b).float().mean()) < AGREED:
-        return None
-    first, second, third = points[faces].double().unbind(1)
-    areas = torch.linalg.cross(second - first, third - first, dim=1).repeat_interleave(3, 0)
-    normals = torch.zeros(len(points), 3, dtype=torch.float64).index_add_(0, faces.flatten(), areas)
-    has = normals.any(1)
-    if not bool(has.any()):
-        return None
-    if not bool(has.all()):
-        normals[~has] = normals[has][cKDTree(points[has].numpy()).query(points[~has].numpy())[1]]
-    return normalize(normals, dim=1, eps=0).float()
-
-
-def points_on(points: Tensor, faces: Tensor, colors: Tensor | None, name: str) -> tuple[Tensor, Tensor | None]:
-    """Draws points on the triangles, evenly by area; the same for equal meshes.
-
-    Args:
-        points: [V, 3] vertices.
-        faces: [F, 3] int64.
-        colors: [V, 3], or None; they are interpolated.
-        name: begins the warning.
-
-    Returns:
-        points [SAMPLES, 3] float64 and the vertices of no triangle, and their colours.
-    """
-    warnings.warn(
-        f"{name}: the triangles are large, so {SAMPLES} points are drawn on them; `torchjoint label` labels the mesh",
-        stacklevel=3,
-    )
-    random = torch.Generator().manual_seed(0)
-    total = _areas(points[faces].double()).cumsum(0)
-    drawn = torch.rand(SAMPLES, generator=random, dtype=torch.float64) * total[-1]
-    face = torch.searchsorted(total, drawn, right=True).clamp(max=len(faces) - 1)
-    u, v = torch.rand(2, SAMPLES, 1, generator=random, dtype=torch.float64)
-    u, v = torch.where(u + v > 1, 1 - u, u), torch.where(u + v > 1, 1 - v, v)  # the other half of the parallelogram
-
-    def between(values: Tensor) -> Tensor:
-        a, b, c = values[faces[face]].double().unbind(1)
-        return a + u * (b - a) + v * (c - a)
-
-    loose = torch.ones(len(points), dtype=torch.bool)
-    loose[faces] = False  # points beside the meshes
-    return (
-        torch.cat([between(points), points[loose].double()]),
-        None if colors is None else torch.cat([between(colors).float(), colors[loose]]),
-    )
-
-
-def _areas(corners: Tensor) -> Tensor:
-    a, b, c = corners.unbind(1)
-    return torch.linalg.cross(b - a, c - a, dim=1).norm(dim=1) / 2
-
-
 class Parts:
     """The other files that a mesh names: trimesh's resolver. Files outside of the mesh's folder are not there.
 
@@ -289,12 +209,7 @@ class Parts:
         self._names: set[str] = set()
 
     def get(self, name: str) -> bytes:
-        """The bytes of a file.
-
-        Raises:
-            FileNotFoundError: there is no such file inside the folder.
-            ValueError: it cannot be read, or is a texture of no known format.
-        """
+        """The bytes of a file."""
         try:
             data = self._read(name)
             # A library of materials is read once; the second time it is named as a texture.

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain
+from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain, typed
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime.foreign_files import damage_is, no_twice, open_file, read_file
 
@@ -141,22 +141,10 @@ def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, npt.NDA
     fields, column = {}, 0
     for name, dtype in header.fields.items():
         count = int(np.prod(dtype.shape))
-        fields[name] = _converted(path, name, values[:, column : column + count], dtype.base)
-        fields[name] = fields[name] if dtype.shape else fields[name][:, 0]
+        own = typed(values[:, column : column + count], dtype.base, str(path), f"field {name!r}")
+        fields[name] = own if dtype.shape else own[:, 0]
         column += count
     return fields
-
-
-def _converted(path: Path, name: str, values: npt.NDArray[np.float64], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    """Numbers from text, converted to the type of their field; integers must fit into the type."""
-    if dtype.kind == "f":
-        with np.errstate(over="ignore"):
-            return np.ascontiguousarray(values.astype(dtype))
-    limits = np.iinfo(dtype)
-    # The largest 64-bit integers have no float64: a value equal to the rounded limit is too large.
-    if not ((values >= limits.min) & (values <= limits.max) & (values < 2.0**63) & (values == np.floor(values))).all():
-        raise ValueError(f"{path}: expected integers of {dtype.itemsize * 8} bits in field {name!r}")
-    return np.ascontiguousarray(values.astype(dtype))
 
 
 def _read_compressed(path: Path, body: memoryview, header: PcdHeader, expected: int) -> dict[str, npt.NDArray[Any]]:

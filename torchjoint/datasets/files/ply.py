@@ -18,7 +18,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import COLORS, CloudFile, cloud_of, plain
+from torchjoint.datasets.files.columns import COLORS, CloudFile, cloud_of, plain, typed
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
@@ -94,12 +94,7 @@ Columns = Mapping[str, "Array | Lists"]
 
 
 def read_ply(path: Path) -> CloudFile:
-    """Reads the vertices and faces of a PLY file; of other elements only the size is checked.
-
-    Raises:
-        FileNotFoundError, ValueError: the message names the file and its error; sizes in the header are compared
-            with the file's size before memory is allocated.
-    """
+    """Reads the vertices and faces of a PLY file; of other elements only the size is checked."""
     elements = _read_elements(path)
     with damage_is(str(path)):
         return _assembled(elements, str(path))
@@ -280,14 +275,23 @@ def _binary_rows(data: bytes, place: int, element: Element, order: str) -> tuple
     if element.lists and element.rows:
         first, _ = _rows_of_several_lengths(data, place, element._replace(rows=1), order)
         lengths = {name: int(lists.lengths[0]) for name, lists in first.items() if isinstance(lists, Lists)}
+    rows = _rows_of_one_length(data, place, element, order, lengths)
+    if rows is None:
+        return _rows_of_several_lengths(data, place, element, order)
+    columns: dict[str, Array | Lists] = {one.name: rows[one.name] for one in element.properties}
+    columns |= {name: Lists(rows[name].ravel(), np.full(len(rows), length)) for name, length in lengths.items()}
+    return columns, place + rows.nbytes
+
+
+def _rows_of_one_length(
+    data: bytes, place: int, element: Element, order: str, lengths: Mapping[str, int]
+) -> Array | None:
+    """The rows of an element whose lists all have these lengths; None if they do not, or the file is too short."""
     dtype = element.dtype(order, lengths)
-    if dtype.itemsize * element.rows <= len(data) - place:
-        rows = np.frombuffer(data, dtype, element.rows, place)
-        if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()):
-            columns: dict[str, Array | Lists] = {one.name: rows[one.name] for one in element.properties}
-            columns |= {name: Lists(rows[name].ravel(), np.full(len(rows), length)) for name, length in lengths.items()}
-            return columns, place + rows.nbytes
-    return _rows_of_several_lengths(data, place, element, order)
+    if dtype.itemsize * element.rows > len(data) - place:
+        return None
+    rows = np.frombuffer(data, dtype, element.rows, place)
+    return rows if all((rows[f"#{name}"] == length).all() for name, length in lengths.items()) else None
 
 
 def _rows_of_several_lengths(data: bytes, place: int, element: Element, order: str) -> tuple[Columns, int]:
@@ -343,75 +347,54 @@ def _ascii_elements(data: bytes, header: Header) -> dict[str, Columns]:
 
 
 def _ascii_rows(text: bytes, element: Element) -> Columns:
-    """The columns of an element; if all its lists have one length, as triangles have, NumPy reads them."""
-    try:
-        values = np.loadtxt(io.BytesIO(text), comments=None, ndmin=2) if element.rows else np.empty((0, 1 << 16))
-        error = ""
-    except ValueError as wrong:
-        values, error = np.empty((0, 0)), str(wrong)
-    columns: dict[str, Array | Lists] = {}
-    place, count = 0, values.shape[1]
-    for one in element.properties:
-        length = 1
-        if one.length is not None and place < count:
-            lengths = _converted(values[:, place], one.length, one.name).astype(np.int64)
-            length, place = int(lengths[0]) if len(lengths) else 0, place + 1
-            if (lengths != length).any():
-                break
-        own = values[:, place : place + length]
-        place += length
-        if length < 0 or place > count:
-            break
-        read = _converted(own.ravel(), one.kind, one.name)
-        columns[one.name] = read if one.length is None else Lists(read, lengths)
-    if len(values) == element.rows and (place == count or not element.rows):
-        return columns
-    if element.lists:
-        return _lines_of_several_lengths(text, element)
-    for row, line in enumerate(text.splitlines()):
-        if len(line.split()) != len(element.properties):
-            raise ValueError(
-                f"element {element.name}: expected {len(element.properties)} numbers in row {row}, got "
-                f"{len(line.split())} words"
-            )
-    raise ValueError(f"element {element.name}: a word is no number: {error}")
+    """The columns of an element, of which each row is a line; the lengths of its lists tell where its numbers are."""
+    numbers, counts = _numbers_of_lines(text, element)
+    ends = np.cumsum(counts)
+    place = starts = ends - counts
 
+    def must_fit(fits: Array, expected: Array, what: str) -> None:
+        if not fits.all():
+            row = int(fits.argmin())
+            got = text.splitlines()[row][:80]
+            raise ValueError(f"element {element.name}: expected {expected[row]} numbers{what} in {got!r}")
 
-def _lines_of_several_lengths(text: bytes, element: Element) -> Columns:
-    bounds.check(element.rows, bounds.LIST_ROWS, f"rows of lists of several lengths in element {element.name}")
-    found: dict[str, list[float]] = {one.name: [] for one in element.properties}
-    lengths: dict[str, list[int]] = {name: [] for name in element.lists}
-    for line in text.splitlines():
-        if b"_" in line:  # Python reads 1_0 as 10
-            raise ValueError(f"element {element.name}: expected numbers, got {line[:80]!r}")
-        words, place = [float(word) for word in line.split()], 0
-        for one in element.properties:
-            length = 1
-            if one.length is not None:
-                read = _converted(np.array(words[place : place + 1]), one.length, one.name)
-                length, place = int(read[0]) if len(read) else 1, place + 1
-                lengths[one.name].append(length)
-            if not 0 <= length <= len(words) - place:
-                raise ValueError(f"element {element.name}: expected {length} numbers of {one.name} in {line[:80]!r}")
-            found[one.name] += words[place : place + length]
-            place += length
-        if place != len(words):
-            raise ValueError(f"element {element.name}: expected {place} numbers in {line[:80]!r}")
     columns: dict[str, Array | Lists] = {}
     for one in element.properties:
-        values = _converted(np.array(found[one.name]), one.kind, one.name)
-        columns[one.name] = values if one.length is None else Lists(values, np.array(lengths[one.name], np.int64))
+        name = f"property {one.name}"
+        must_fit(place < ends, place - starts + 1, "")
+        if one.length is None:
+            columns[one.name], place = typed(numbers[place], one.kind, name, element.name), place + 1
+            continue
+        lengths = typed(numbers[place], one.length, name, element.name).astype(np.int64)
+        place = place + 1
+        must_fit((lengths >= 0) & (lengths <= ends - place), lengths, f" of {one.name}")
+        at = np.arange(lengths.sum()) + np.repeat(place - np.cumsum(lengths) + lengths, lengths)
+        columns[one.name], place = Lists(typed(numbers[at], one.kind, name, element.name), lengths), place + lengths
+    must_fit(place == ends, place - starts, "")
     return columns
 
 
-def _converted(values: npt.NDArray[np.float64], kind: str, name: str) -> Array:
-    """Numbers from text in the type of their property; integers must fit into it."""
-    dtype = np.dtype(kind)
-    with np.errstate(over="ignore", invalid="ignore"):
-        converted = values.astype(dtype, copy=False)
-    if dtype.kind != "f" and (converted != values).any():  # also of NaN
-        raise ValueError(f"property {name}: expected integers of {dtype.itemsize * 8} bits")
-    return converted
+def _numbers_of_lines(text: bytes, element: Element) -> tuple[Array, Array]:
+    """All numbers of an element's lines, and how many there are in each line [rows]."""
+    if not element.rows:
+        return np.empty(0), np.empty(0, np.int64)
+    reason = ""
+    try:
+        table = np.loadtxt(io.BytesIO(text), comments=None, ndmin=2)
+        if len(table) == element.rows and (element.lists or table.shape[1] == len(element.properties)):
+            return table.ravel(), np.full(element.rows, table.shape[1])
+    except ValueError as error:  # of lines of several lengths, or of a word
+        reason = str(error)
+    counts = np.array([len(line.split()) for line in text.splitlines()])
+    if not element.lists:
+        for row in np.flatnonzero(counts != len(element.properties)).tolist():
+            told = f"expected {len(element.properties)} numbers in row {row}, got {counts[row]} words"
+            raise ValueError(f"element {element.name}: {told}")
+        raise ValueError(f"element {element.name}: a word is no number: {reason}")
+    bounds.check(element.rows, bounds.LIST_ROWS, f"rows of lists of several lengths in element {element.name}")
+    if b"_" in text:  # Python reads 1_0 as 10
+        raise ValueError(f"element {element.name}: expected numbers, got a word with _")
+    return np.array([float(word) for word in text.split()]), counts
 
 
 class PlyRecords(NamedTuple):
@@ -475,15 +458,12 @@ def _records_of_bytes(data: bytes, header: Header) -> tuple[dict[str, Array], by
     for element in header.elements:
         if not element.properties:
             continue
-        dtype = element.dtype(header.byte_order, dict.fromkeys(element.lists, 3))
-        if dtype.itemsize * element.rows > len(data) - place:
-            if not element.lists:
-                raise ValueError(f"truncated: element {element.name} has fewer than {element.rows} rows")
+        rows = _rows_of_one_length(data, place, element, header.byte_order, dict.fromkeys(element.lists, 3))
+        if rows is None and not element.lists:
+            raise ValueError(f"truncated: element {element.name} has fewer than {element.rows} rows")
+        if rows is None:
             break
-        rows = np.frombuffer(data, dtype, element.rows, place)
-        if any((rows[f"#{name}"] != 3).any() for name in element.lists):
-            break
-        records[element.name] = np.frombuffer(data, np.uint8, rows.nbytes, place).reshape(element.rows, dtype.itemsize)
+        records[element.name] = np.frombuffer(data, np.uint8, rows.nbytes, place).reshape(-1, rows.itemsize)
         place += rows.nbytes
     return records, data[place:]
 

@@ -37,11 +37,7 @@ def read_raster(path: Path, *, header_only: bool = False) -> Image.Image:
 
 
 def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tuple[str, ...] = RASTERS) -> Image.Image:
-    """Decodes an image file's bytes (or only its header); errors begin with `name`.
-
-    Raises:
-        ValueError: a damaged image, one of another format, or one that is too large.
-    """
+    """Decodes an image file's bytes (or only its header); errors begin with `name`."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter

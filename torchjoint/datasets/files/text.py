@@ -50,6 +50,27 @@ def parse_integer(word: str, name: str) -> int:
     return int(word)
 
 
+def read_rows(path: Path, layout: str, columns: int) -> list[tuple[str, list[float]]]:
+    """Reads lines of numbers, each with its name for messages; `layout` describes a line. Empty lines are skipped."""
+    rows = []
+    for name, line in read_lines(path, f"lines of {layout}"):
+        numbers = parse_numbers(line.replace(",", " ").split(), name)
+        if numbers and len(numbers) != columns:
+            raise ValueError(f"{name}: expected {layout}, got {len(numbers)} numbers")
+        if numbers:
+            rows.append((name, numbers))
+    return rows
+
+
+def read_timed_rows(path: Path, layout: str, columns: int) -> npt.NDArray[np.float64]:
+    """Reads lines of a time and other numbers, [N, columns], sorted by time; of lines with equal times the first."""
+    rows = read_rows(path, layout, columns)
+    if not rows:
+        raise ValueError(f"{path}: expected lines of {layout}, got none")
+    table = np.array([numbers for _, numbers in rows])
+    return table[np.unique(table[:, 0], return_index=True)[1]]
+
+
 class Record:
     """A JSON object. A missing value, or a value of the wrong type, raises ValueError with file and key.
 

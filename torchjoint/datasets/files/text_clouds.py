@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
-from torchjoint.datasets.files.columns import NOT_READ, POINTS, CloudFile, cloud_of, plain, unit_colors
+from torchjoint.datasets.files.columns import NOT_READ, POINTS, CloudFile, cloud_of, plain
 from torchjoint.runtime.foreign_files import damage_is, no_twice, read_file
 
 SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
@@ -26,8 +25,8 @@ _UNIT = re.compile(r"\[[^]]*\]|\([^)]*\)")
 _NO_METRE = re.compile(rb"\b[xyz] ?[\[(] ?(([cmk]|milli|centi)m\w*|f(ee|oo)?t|us-ft|in|inch\w*|deg\w*) ?[\])]", re.I)
 #: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.
 MOST_COLUMNS = 16
-#: Letters of columns: positions, colours, normals.
-GROUPS = ("xyz", "rgb", "n")
+#: The names of columns that are read of rows without names.
+NAMES = ("x", "y", "z", "r", "g", "b", "nx", "ny", "nz")
 #: Normals in text have few digits, and a few have no length.
 UNIT, MOST_UNIT = 0.02, 0.95
 
@@ -151,35 +150,28 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
     if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
     values = rows.astype(np.float64)
-    used, found = 3, ["x y z"]
-    parts: dict[str, Array] = {}
+    names, found = ["x", "y", "z"], ["x y z"]
     if rows.shape[1] >= 7 and (is_pts or not _are_bytes(values[:, 3])) and _are_bytes(_known(values[:, 4:7])):
-        parts["colors"], used = values[:, 4:7], 7
+        names += ["intensity", "r", "g", "b"]
         found.append("colours behind an intensity")
-    while rows.shape[1] >= used + 3:
-        three = _known(values[:, used : used + 3])
-        if "normals" not in parts and _are_unit(three):
-            parts["normals"] = values[:, used : used + 3]
+    while rows.shape[1] >= len(names) + 3:
+        three = _known(values[:, len(names) : len(names) + 3])
+        if "nx" not in names and _are_unit(three):
+            names += ["nx", "ny", "nz"]
             found.append("normals")
-        elif "colors" not in parts and three.size and three.min() >= 0 and three.max() <= 255:
-            parts["colors"] = values[:, used : used + 3]
+        elif "r" not in names and three.size and three.min() >= 0 and three.max() <= 255:
+            names += ["r", "g", "b"]
             found.append("colours")
         else:
             break
-        used += 3
-    if rows.shape[1] > used:
+    if rows.shape[1] > len(names):
         what = ", ".join(found[:-1]) + f" and {found[-1]}" if len(found) > 1 else found[0]
         warnings.warn(
-            f"of {rows.shape[1]} columns, the first {used} are read, {what}; the rest is left out; --columns "
+            f"of {rows.shape[1]} columns, the first {len(names)} are read, {what}; the rest is left out; --columns "
             "xyz... names others",
             stacklevel=3,
         )
-    normals = torch.from_numpy(parts["normals"].astype(np.float32)) if "normals" in parts else None
-    return CloudFile(
-        torch.from_numpy(np.ascontiguousarray(values[:, :3])),
-        unit_colors(parts["colors"]) if "colors" in parts else None,
-        normals,
-    )
+    return cloud_of(dict(zip(names, values.T, strict=False)), "rows")
 
 
 def _known(values: Array) -> Array:
@@ -200,7 +192,7 @@ def cloud_of_letters(rows: Array, letters: str) -> CloudFile:
     """The cloud of rows whose columns have a letter each."""
     if rows.ndim != 2 or rows.shape[1] != len(letters):
         raise ValueError(f"expected rows of {len(letters)} numbers, {letters!r}, got shape {list(rows.shape)}")
-    values = np.ascontiguousarray(rows, dtype=np.float64)
-    x, r, n = ([place for one in group for place, letter in enumerate(letters) if letter == one] for group in GROUPS)
-    normals = torch.from_numpy(values[:, n].astype(np.float32)) if n else None
-    return CloudFile(torch.from_numpy(values[:, x]), unit_colors(values[:, r]) if r else None, normals)
+    normal = iter(("nx", "ny", "nz"))
+    names = [next(normal) if letter == "n" else letter for letter in letters]
+    values = rows.astype(np.float64)
+    return cloud_of({name: values[:, place] for place, name in enumerate(names) if name in NAMES}, "rows")

@@ -13,32 +13,10 @@ data set of this format.
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast
 
-from torchjoint.datasets.formats import (
-    arkitscenes,
-    bop,
-    cloud_alone,
-    colmap,
-    folder,
-    kitti,
-    lidar_image,
-    nerfstudio,
-    nuscenes,
-    organized_pcd,
-    polycam,
-    posed_images,
-    record3d,
-    replica,
-    ros,
-    s3dis,
-    scannet,
-    scannetpp,
-    tum,
-    vggt,
-    ycb_video,
-)
 from torchjoint.datasets.recording import Options
 from torchjoint.scene import Scene
 
@@ -57,9 +35,10 @@ class Format(Protocol):
 
 #: Formats by name, in the order in which they are tried; `cloud_alone` is last: other formats have clouds with images.
 FORMATS: dict[str, Format] = {
-    module.__name__.rpartition(".")[2]: cast(Format, module)
-    for module in (
-        folder, scannet, tum, nerfstudio, colmap, kitti, nuscenes, lidar_image, organized_pcd, bop, ycb_video,
-        posed_images, replica, arkitscenes, record3d, polycam, scannetpp, s3dis, vggt, ros, cloud_alone,
+    name: cast(Format, import_module(f"{__name__}.{name}"))
+    for name in (
+        "folder", "scannet", "tum", "nerfstudio", "colmap", "kitti", "nuscenes", "lidar_image", "organized_pcd", "bop",
+        "ycb_video", "posed_images", "replica", "arkitscenes", "record3d", "polycam", "scannetpp", "s3dis", "vggt",
+        "ros", "cloud_alone",
     )
 }  # fmt: skip

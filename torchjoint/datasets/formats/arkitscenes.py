@@ -14,21 +14,20 @@ smallest box that contains it; all others are void.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.boxes import instances_in_boxes
-from torchjoint.datasets.cameras import Camera, interpolate_poses, pinhole_matrix
-from torchjoint.datasets.files.readers import read_depth, read_image
-from torchjoint.datasets.files.text import parse_numbers, read_lines, read_record
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_left_out
+from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole
+from torchjoint.datasets.files.text import parse_numbers, read_record, read_rows, read_timed_rows
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_left_out
+from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene import Frame, Scene
 
 WHAT = "lowres_wide.traj with lowres_wide/, lowres_wide_intrinsics/, lowres_depth/, here or in ID_frames/ (ARKitScenes)"
 TRAJECTORY, IMAGES, DEPTHS, CAMERAS = "lowres_wide.traj", "lowres_wide", "lowres_depth", "lowres_wide_intrinsics"
@@ -39,18 +38,13 @@ STEP = 0.001
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a recording's folder."""
     return has_folder(path) and has_file(_frames_folder(path) / TRAJECTORY)
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     folder, clouds = _frames_folder(path), [path / f"{path.name}_3dod_mesh.ply"]
-    scene = scene_of_frames(path, _read_frames(folder), options, clouds)
-    annotation = path / f"{path.name}_3dod_annotation.json"
-    if not has_file(annotation) or find_cloud(path, options, clouds) != clouds[0]:
-        return scene
-    return replace(scene, truth=Truth(_instances(annotation, scene.points)))
+    annotation = partial(_instances, path / f"{path.name}_3dod_annotation.json")
+    return scene_of_frames(path, _read_frames(folder), options, clouds, instances=annotation)
 
 
 def _frames_folder(path: Path) -> Path:
@@ -61,19 +55,15 @@ def _frames_folder(path: Path) -> Path:
 def _read_frames(folder: Path) -> LazySequence[Frame]:
     images = sorted((_time(file), file) for file in (folder / IMAGES).glob("*.png"))
     poses = _read_poses(folder / TRAJECTORY, [time for time, _ in images])
-    shots = [(file, pose) for (_, file), pose in zip(images, poses, strict=True) if pose is not None]
+    shots = [
+        Shot(file, _camera(folder / CAMERAS, file.stem), invert_pose(pose), file.stem, folder / DEPTHS / file.name)
+        for (_, file), pose in zip(images, poses, strict=True)
+        if pose is not None
+    ]
     if not shots:
         raise ValueError(f"{folder / IMAGES}: no image has a pose in {TRAJECTORY} within {TOLERANCE} s")
     tell_left_out(str(folder), len(images) - len(shots), len(images), f"have no pose within {TOLERANCE} s,")
-
-    def read(index: int) -> Frame:
-        file, pose = shots[index]
-        depth = folder / DEPTHS / file.name
-        camera = _camera(folder / CAMERAS, file.stem)
-        measured = read_depth(depth) if has_file(depth) else None
-        return camera.frame(read_image(file, camera.size), invert_pose(pose), measured, file.stem)
-
-    return LazySequence(len(shots), read, [file.stem for file, _ in shots])
+    return read_shots(shots)
 
 
 def _time(file: Path) -> float:
@@ -84,16 +74,7 @@ def _read_poses(file: Path, times: list[float]) -> list[Tensor | None]:
     """Camera-to-world poses at these times."""
     from scipy.spatial.transform import Rotation
 
-    rows = {}
-    for name, line in read_lines(file, "lines of a time, an axis and angle, and a translation"):
-        values = parse_numbers(line.split(), name)
-        if values:
-            if len(values) != 7:
-                raise ValueError(f"{name}: expected 7 numbers, got {len(values)}")
-            rows[values[0]] = values
-    if not rows:
-        raise ValueError(f"{file}: expected lines of 7 numbers, got none")
-    table = np.array([rows[time] for time in sorted(rows)])
+    table = read_timed_rows(file, "7 numbers", 7)
     to_world = Rotation.from_rotvec(table[:, 1:4]).inv()
     centers = -to_world.apply(table[:, 4:])
     poses = np.concatenate([table[:, :1], centers, to_world.as_quat()], axis=1)
@@ -104,15 +85,16 @@ def _camera(folder: Path, stem: str) -> Camera:
     identifier, _, time = stem.rpartition("_")
     near = (f"{identifier}_{float(time) + shift:.3f}.pincam" for shift in (0, -STEP, STEP))
     file = next((folder / name for name in near if has_file(folder / name)), folder / f"{stem}.pincam")
-    lines = [parse_numbers(line.split(), name) for name, line in read_lines(file, "width height fx fy cx cy")]
-    numbers = [number for line in lines for number in line]
-    if len(numbers) != 6:
-        raise ValueError(f"{file}: expected width height fx fy cx cy, got {len(numbers)} numbers")
-    width, height, fx, fy, cx, cy = numbers
-    return Camera(pinhole_matrix(fx, fy, cx, cy), (round(height), round(width)), name=str(file))
+    rows = read_rows(file, "width height fx fy cx cy", 6)
+    if len(rows) != 1:
+        raise ValueError(f"{file}: expected one line of width height fx fy cx cy, got {len(rows)}")
+    width, height, *numbers = rows[0][1]
+    return pinhole([*numbers, width, height], str(file))
 
 
-def _instances(file: Path, points: Tensor) -> Tensor:
+def _instances(file: Path, points: Tensor) -> Tensor | None:
+    if not has_file(file):
+        return None
     boxes = [one.record("segments").record("obbAligned") for one in read_record(file, "boxes").records("data")]
     if not boxes:
         return torch.full((len(points),), -1)

@@ -14,20 +14,18 @@ positions in the world are at most `SAME_PLACE` apart. All other pixels are void
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.cameras import Camera, checked_pose, invert_pose
 from torchjoint.datasets.files.readers import read_image_size, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
-from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Scene, Truth
-from torchjoint.scene.checks import as_pose
+from torchjoint.scene import Scene
 
 WHAT = "scene_camera.json with rgb/ or gray/ (BOP)"
 #: Largest distance between the positions of one object according to two images, metres.
@@ -35,14 +33,12 @@ SAME_PLACE = 0.05
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder is a scene."""
     return has_folder(path) and has_file(path / "scene_camera.json")
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads a scene; see :func:`torchjoint.load_scene`."""
     shots = _read_shots(path)
-    return replace(scene_of_frames(path, read_shots(shots), options), truth=_truth(path, shots))
+    return scene_of_frames(path, read_shots(shots), options, images=_truth(path, shots))
 
 
 def _read_shots(path: Path) -> list[Shot]:
@@ -71,20 +67,20 @@ def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> Shot:
 
 
 def _pose(record: Record, rotation: str, translation: str) -> Tensor:
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = record.numbers(rotation, 9).view(3, 3)
-    pose[:3, 3] = record.numbers(translation, 3) / 1000
-    return as_pose(pose, f"{record.name}: {rotation}, {translation}")
+    pose = torch.cat([record.numbers(rotation, 9).view(3, 3), record.numbers(translation, 3)[:, None] / 1000], 1)
+    return checked_pose(pose, f"{record.name}: {rotation}, {translation}")
 
 
-def _truth(path: Path, shots: Sequence[Shot]) -> Truth | None:
+def _truth(path: Path, shots: Sequence[Shot]) -> Sequence[Tensor]:
     if not has_file(path / "scene_gt.json") or not has_folder(path / "mask_visib"):
-        return None
+        return ()
     truth = read_record(path / "scene_gt.json", "the objects of the images")
     instances = _instances(shots, truth)
 
     def read(index: int) -> Tensor:
-        labels = torch.full(read_image_size(shots[index].color), -1, dtype=torch.int64)
+        image = shots[index].color
+        assert isinstance(image, Path)
+        labels = torch.full(read_image_size(image), -1, dtype=torch.int64)
         for place, instance in enumerate(instances[index]):
             file = path / "mask_visib" / f"{shots[index].name}_{place:06d}.png"
             mask = read_label_image(file) > 0
@@ -93,7 +89,7 @@ def _truth(path: Path, shots: Sequence[Shot]) -> Truth | None:
             labels[mask] = instance
         return labels
 
-    return Truth(None, LazySequence(len(shots), read))
+    return LazySequence(len(shots), read)
 
 
 def _instances(shots: Sequence[Shot], truth: Record) -> list[list[int]]:

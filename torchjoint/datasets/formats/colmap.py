@@ -9,6 +9,7 @@ cloud.ply, fused.ply, dense/fused.ply,    the cloud, the first that exists; othe
 dense/N/fused.ply                         are few for a segmentation; N is that of sparse/N; of several models only this
 
 If the given folder is the model itself, images and clouds are also searched in its parent and grandparent folders.
+Of a camera, pixel centres are at 1/2; of an image, the pose is world-to-camera, a quaternion w x y z and a translation.
 Images may be resized, but not cropped; lens distortion is removed. The scale of a reconstruction is arbitrary: its
 "metres" are the model's unit, unless the model was aligned.
 """
@@ -16,27 +17,49 @@ Images may be resized, but not cropped; lens distortion is removed. The scale of
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
-from torchjoint.datasets.files.colmap_model import has_model, read_images, read_points
-from torchjoint.datasets.files.text import frame_names, path_inside
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchjoint.datasets.cameras import Camera, pinhole_matrix, poses_from_quaternions
+from torchjoint.datasets.files.binary import BinaryFile
+from torchjoint.datasets.files.text import frame_names, parse_integer, parse_numbers, path_inside, read_lines
 from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
-from torchjoint.runtime.foreign_files import has_file, has_folder, present
+from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
 
 _IMAGES = ("images", "images_2", "images_4", "images_8", ".")
+#: Camera models; the index is the model's number in binary files.
+MODELS = (
+    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
+    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
+)  # fmt: skip
+
+#: Camera models that OpenCV can undistort: number of focal lengths (they come first, then cx, cy) and of parameters.
+_PARAMETERS = {
+    "SIMPLE_PINHOLE": (1, 3),
+    "PINHOLE": (2, 4),
+    "SIMPLE_RADIAL": (1, 4),
+    "RADIAL": (1, 5),
+    "OPENCV": (2, 8),
+    "FULL_OPENCV": (2, 12),
+    "OPENCV_FISHEYE": (2, 8),
+    "SIMPLE_RADIAL_FISHEYE": (1, 4),
+    "RADIAL_FISHEYE": (1, 5),
+}
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has a sparse model."""
     return has_folder(path) and bool(_models(path))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     models = _models(path)
     model = _largest(path, models)
     around = list(path.absolute().parents)[:2] if model == path else []
@@ -91,3 +114,151 @@ def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:
             return folder
     places = ", ".join(str(folder) for folder in folders)
     raise FileNotFoundError(f"{source}: its image {name!r} is missing; looked for it in {places}")
+
+
+class ColmapImage(NamedTuple):
+    """An image with its camera and pose."""
+
+    name: str  #: relative to the image folder
+    camera: Camera
+    world_to_camera: Tensor  #: [4, 4] float64
+
+
+class _Row(NamedTuple):
+    pose: list[float]  # quaternion w x y z, translation
+    camera: int
+    name: str
+
+
+_Point = tuple[float, ...]  # id, position, colour
+T = TypeVar("T")
+
+
+def has_model(folder: Path) -> bool:
+    """Returns whether a folder holds a sparse model."""
+    return all(any(has_file(folder / f"{part}.{kind}") for kind in ("bin", "txt")) for part in ("cameras", "images"))
+
+
+def read_images(folder: Path) -> list[ColmapImage]:
+    """Returns the images of a model, sorted by name."""
+    cameras_file, cameras = _read(folder, "cameras", _cameras_of_binary, _cameras_of_text)
+    images_file, rows = _read(folder, "images", _images_of_binary, _images_of_text)
+    if not rows:
+        raise ValueError(f"{images_file}: expected images with poses, got none")
+    rows.sort(key=lambda row: row.name)
+    no_twice((row.name for row in rows), f"{images_file}: image")
+    for row in rows:
+        if row.camera not in cameras:
+            raise ValueError(f"{images_file}: image {row.name!r} is of camera {row.camera}, which {cameras_file} lacks")
+    numbers = np.array([row.pose for row in rows])
+    poses = poses_from_quaternions(numbers[:, [1, 2, 3, 0]], numbers[:, 4:], str(images_file))
+    return [ColmapImage(row.name, cameras[row.camera], pose) for row, pose in zip(rows, poses, strict=True)]
+
+
+def read_points(folder: Path) -> tuple[Tensor, Tensor]:
+    """Returns the sparse points of a model, sorted by id: positions [N, 3] float64 and colours [N, 3] uint8."""
+    file, rows = _read(folder, "points3D", _points_of_binary, _points_of_text)
+    if not rows:
+        raise ValueError(f"{file}: expected points, got none")
+    values = torch.tensor([row[1:] for row in sorted(rows)], dtype=torch.float64)
+    colors = values[:, 3:]
+    if not ((colors >= 0) & (colors <= 255)).all():
+        raise ValueError(f"{file}: expected colours of 0 to 255, got {colors.min():g} to {colors.max():g}")
+    return values[:, :3], colors.to(torch.uint8)
+
+
+def _read(folder: Path, part: str, of_binary: Callable[[Path], T], of_text: Callable[[Path], T]) -> tuple[Path, T]:
+    """The file of a part of the model, and its content; COLMAP, too, prefers the binary file."""
+    binary, text = folder / f"{part}.bin", folder / f"{part}.txt"
+    return (binary, of_binary(binary)) if has_file(binary) else (text, of_text(text))
+
+
+def _camera(model: str, width: int, height: int, parameters: Sequence[float], name: str) -> Camera:
+    num_focal, num_parameters = _check_model(model, name)
+    if len(parameters) != num_parameters:
+        raise ValueError(f"{name}: expected {num_parameters} parameters of {model}, got {len(parameters)}")
+    focal, (cx, cy), distortion = np.split(np.array(parameters), [num_focal, num_focal + 2])
+    # Radial models have the first coefficients of OpenCV's k1 k2 p1 p2, or of a fisheye's k1 k2 k3 k4.
+    matrix = pinhole_matrix(float(focal[0]), float(focal[-1]), float(cx), float(cy), center=0.5)
+    coefficients = tuple(distortion.tolist()) + (0.0,) * max(4 - len(distortion), 0)
+    return Camera(matrix, (height, width), coefficients, name, fisheye=model.endswith("FISHEYE"))
+
+
+def _check_model(model: str, name: str) -> tuple[int, int]:
+    if model not in _PARAMETERS:
+        raise ValueError(
+            f"{name}: expected a camera model of {', '.join(_PARAMETERS)}, got {model[:40]}; "
+            "`colmap image_undistorter` makes undistorted images and a model of PINHOLE cameras"
+        )
+    return _PARAMETERS[model]
+
+
+def _words(lines: Iterator[tuple[str, str]], layout: str, least: int) -> Iterator[tuple[str, list[str]]]:
+    """The first `least` words, the last one with the rest of its line, of each line that is not empty; and its name."""
+    for name, line in lines:
+        words = line.split(maxsplit=least - 1)
+        if words and len(words) < least:
+            raise ValueError(f"{name}: expected {layout}, got {line[:100]!r}")
+        if words:
+            yield name, words
+
+
+def _cameras_of_text(path: Path) -> dict[int, Camera]:
+    cameras = []
+    for name, words in _words(read_lines(path, "COLMAP's cameras"), "CAMERA_ID MODEL WIDTH HEIGHT PARAMS", 5):
+        key, width, height = (parse_integer(word, name) for word in (words[0], words[2], words[3]))
+        cameras.append((key, _camera(words[1], width, height, parse_numbers(words[4].split(), name), name)))
+    return dict_of(cameras, f"{path}: camera")
+
+
+def _images_of_text(path: Path) -> list[_Row]:
+    rows = []
+    lines = read_lines(path, "COLMAP's images")
+    for name, words in _words(lines, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", 10):
+        rows.append(_Row(parse_numbers(words[1:8], name), parse_integer(words[8], name), words[9]))
+        of_points, points = next(lines, (name, ""))
+        if len(points.split()) % 3:
+            told = "expected 2D points X Y POINT3D_ID of the image above, or an empty line"
+            raise ValueError(f"{of_points}: {told}, got {points[:80]!r}")
+    return rows
+
+
+def _points_of_text(path: Path) -> list[_Point]:
+    points: list[_Point] = []
+    for name, words in _words(read_lines(path, "COLMAP's 3D points"), "POINT3D_ID X Y Z R G B ERROR TRACK", 8):
+        points.append((parse_integer(words[0], name), *parse_numbers(words[1:7], name)))
+    return points
+
+
+def _cameras_of_binary(path: Path) -> dict[int, Camera]:
+    cameras = []
+    with BinaryFile(path) as file:
+        for _ in range(file.count(smallest=48)):
+            key, number, width, height = file.read("IiQQ")
+            name = f"{path}: camera {key}"
+            model = MODELS[number] if 0 <= number < len(MODELS) else f"number {number}"
+            parameters = file.read(f"{_check_model(model, name)[1]}d")
+            cameras.append((key, _camera(model, width, height, parameters, name)))
+        file.finish()
+    return dict_of(cameras, f"{path}: camera")
+
+
+def _images_of_binary(path: Path) -> list[_Row]:
+    rows = []
+    with BinaryFile(path) as file:
+        for _ in range(file.count(smallest=73)):
+            _, *pose, camera = file.read("I7dI")
+            rows.append(_Row(pose, camera, file.text()))
+            file.skip(24 * file.count(smallest=24))  # the image's 2D points
+        file.finish()
+    return rows
+
+
+def _points_of_binary(path: Path) -> list[_Point]:
+    points: list[_Point] = []
+    with BinaryFile(path) as file:
+        for _ in range(file.count(smallest=51)):
+            points.append(file.read("Q3d3Bd")[:7])
+            file.skip(8 * file.count(smallest=8))  # the point's track
+        file.finish()
+    return points

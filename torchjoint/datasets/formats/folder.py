@@ -19,35 +19,35 @@ from pathlib import Path
 
 from torch import Tensor
 
+from torchjoint.datasets.cameras import world_to_camera
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_label_image, read_matrix
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames
-from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
+from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames, sorted_images
+from torchjoint.datasets.truth import label_images
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene.checks import as_labels, as_pose
+from torchjoint.scene.checks import as_labels
 
 WHAT = "camera-intrinsics.txt and frame-NNNNNN.color.jpg (or .png) with frame-NNNNNN.pose.txt"
 _COLOR = (".color.jpg", ".color.jpeg", ".color.png")
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has colour frames of this format."""
     return has_folder(path) and bool(_color_files(path))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
-    scene = scene_of_frames(path, read_frames(path), options)
+    frames = read_frames(path)
+    scene = scene_of_frames(path, frames, options)
     if not options.fuse and find_cloud(path, options) is None:
         return scene  # the truth is that of another cloud
-    return replace(scene, truth=_truth(path, _color_files(path), len(scene.points)))
+    return replace(scene, truth=_truth(path, frames.names, len(scene.points)))
 
 
-def read_frames(path: Path) -> Sequence[Frame]:
+def read_frames(path: Path) -> LazySequence[Frame]:
     """Returns the frames of a folder; each frame is read on access."""
-    colors = _color_files(path)
+    colors = sorted_images(path, _color_files(path))
     stems = [file.name.split(".")[0] for file in colors]
-    no_twice(stems, f"{path}: the colour image of frame")
     lost = {file.name.split(".")[0] for file in path.glob("frame-*.pose.txt")}.difference(stems)
     if lost:
         warnings.warn(
@@ -60,37 +60,31 @@ def read_frames(path: Path) -> Sequence[Frame]:
         if not has_file(file):
             raise FileNotFoundError(f"{file}: missing; every colour frame needs its pose")
     # Reads all poses at once: a bad pose must be found before hours of work, not after.
-    poses = [as_pose(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
+    poses = [world_to_camera(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
     intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
     return LazySequence(len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]), stems)
 
 
-def _read_frame(file: Path, intrinsics: Tensor, camera_to_world: Tensor) -> Frame:
+def _read_frame(file: Path, intrinsics: Tensor, world_to_camera: Tensor) -> Frame:
     depth, labels = _beside(file, ".depth.png"), _beside(file, ".labels.png")
     return Frame(
         read_image(file),
         intrinsics,
-        invert_pose(camera_to_world),
+        world_to_camera,
         depth=read_depth(depth) if has_file(depth) else None,
         labels=read_label_image(labels) - 1 if has_file(labels) else None,
         name=file.name.split(".")[0],
     )
 
 
-def _truth(path: Path, colors: Sequence[Path], num_points: int) -> Truth | None:
-    of_points, of_images = path / "cloud.truth.npy", [_beside(file, ".truth.png") for file in colors]
-    missing = [file for file in of_images if not has_file(file)]
-    if missing and len(missing) < len(colors):
-        raise FileNotFoundError(f"{missing[0]}: missing; {len(colors) - len(missing)} other frames have their truth")
+def _truth(path: Path, names: Sequence[str], num_points: int) -> Truth | None:
+    of_points, images = path / "cloud.truth.npy", label_images([path / f"{name}.truth.png" for name in names], "truth")
     points = as_labels(read_array(of_points), (num_points,), str(of_points)) if has_file(of_points) else None
-    if missing and points is None:
-        return None
-    images = () if missing else LazySequence(len(colors), lambda i: read_label_image(of_images[i]) - 1)
-    return Truth(points, images)
+    return Truth(points, images) if images or points is not None else None
 
 
 def _color_files(path: Path) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.name.startswith("frame-") and file.name.endswith(_COLOR))
+    return [file for file in path.iterdir() if file.name.startswith("frame-") and file.name.endswith(_COLOR)]
 
 
 def _beside(color_file: Path, suffix: str) -> Path:

@@ -20,21 +20,19 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.boxes import instances_in_boxes
+from torchjoint.datasets.cameras import Camera, rotations_about
 from torchjoint.datasets.files.clouds import read_scan
-from torchjoint.datasets.files.readers import read_image
 from torchjoint.datasets.files.text import parse_numbers, read_lines
-from torchjoint.datasets.recording import Options
+from torchjoint.datasets.recording import Options, Shot, read_shots
+from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, present
-from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_intrinsics, as_pose
 
 WHAT = "KITTI object: velodyne/NNNNNN.bin (or image_2/NNNNNN.png) with calib/ beside its folder"
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a LiDAR scan, or an image, in KITTI's folders."""
     folder = path.absolute().parent
     kinds = {("velodyne", ".bin"), ("image_2", ".png")}
     return (folder.name, path.suffix) in kinds and has_file(path) and _is_root(folder.parent)
@@ -47,7 +45,6 @@ def scenes(path: Path) -> dict[str, Path]:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads one frame; see :func:`torchjoint.load_scene`."""
     root, name = path.absolute().parent.parent, path.stem
     points = read_scan(root / "velodyne" / f"{name}.bin", 4, options.invalid)[:, :3]
     calibration = _read_calibration(root / "calib" / f"{name}.txt")
@@ -58,7 +55,7 @@ def load(path: Path, options: Options) -> Scene:
     world_to_camera = camera_from_rectified @ rectified_from_world
     image = root / "image_2" / f"{name}.png"
     present(image, "the image of the scan")
-    frames = LazySequence(1, lambda _: Frame(read_image(image), projection[:3, :3], world_to_camera, name=name))
+    frames = read_shots([Shot(image, Camera(projection[:3, :3]), world_to_camera, name)])
     labels = root / "label_2" / f"{name}.txt"
     truth = Truth(_instances(labels, points, rectified_from_world)) if has_file(labels) else None
     return Scene(points, frames, name=name, truth=truth)
@@ -97,11 +94,9 @@ def _nearest_rigid(pose: Tensor) -> Tensor:
 def _instances(path: Path, points: Tensor, rectified_from_world: Tensor) -> Tensor:
     boxes = [_parse_box(line, name) for name, line in read_lines(path, "boxes") if line and line[:8] != "DontCare"]
     height, width, length, x, y, z, yaw = torch.tensor(boxes, dtype=torch.float64).reshape(-1, 7).unbind(1)
-    cos, sin, zero, one = yaw.cos(), yaw.sin(), torch.zeros_like(yaw), torch.ones_like(yaw)
-    rotations = torch.stack([cos, zero, sin, zero, one, zero, -sin, zero, cos], dim=1).view(-1, 3, 3)
     in_camera = points.double() @ rectified_from_world[:3, :3].T + rectified_from_world[:3, 3]
     centers = torch.stack([x, y - height / 2, z], dim=1)
-    return instances_in_boxes(in_camera, centers, torch.stack([length, height, width], dim=1), rotations)
+    return instances_in_boxes(in_camera, centers, torch.stack([length, height, width], dim=1), rotations_about(1, yaw))
 
 
 def _parse_box(line: str, name: str) -> list[float]:

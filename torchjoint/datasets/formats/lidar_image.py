@@ -15,20 +15,18 @@ The world frame is the LiDAR's frame. A guess may be wrong: the pose is checked 
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.cameras import Camera, checked_pose, rotations_about
 from torchjoint.datasets.files.columns import repaired
 from torchjoint.datasets.files.pcd import read_pcd
-from torchjoint.datasets.files.readers import read_image, read_matrix
+from torchjoint.datasets.files.readers import read_matrix
 from torchjoint.datasets.files.text import read_record
-from torchjoint.datasets.recording import Options
+from torchjoint.datasets.recording import Options, Shot, read_shots
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_pose, kept_points
 
@@ -39,12 +37,10 @@ _LENSES = ("plumb_bob", "rational_polynomial", "equidistant")
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has such a cloud and camera."""
     return has_folder(path) and all(has_file(path / name) for name in ("pointcloud.pcd", "camera_info.json"))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     file = path / "pointcloud.pcd"
     cloud = read_pcd(file).cloud(str(file))
     cloud = cloud.chosen(cloud.points.isfinite().all(1))
@@ -53,7 +49,7 @@ def load(path: Path, options: Options) -> Scene:
     image = next((path / name for name in ("image.png", "image.jpg") if has_file(path / name)), None)
     if image is None:
         raise FileNotFoundError(f"{path}: expected image.png or image.jpg beside pointcloud.pcd")
-    frames = LazySequence(1, lambda _: camera.frame(read_image(image, camera.size), pose, name="image"))
+    frames = read_shots([Shot(image, camera, pose, "image")])
     return Scene(cloud.points, frames, cloud.colors, cloud.normals, name=path.name)
 
 
@@ -80,18 +76,7 @@ def _read_pose(path: Path) -> Tensor:
     if not has_file(file):
         raise FileNotFoundError(f"{path}: expected extrinsic.txt or initial_guess.json beside pointcloud.pcd")
     guess = read_record(file, "a guess of the pose")
-    x, y, z, *degrees = (guess.number(key) for key in ("x", "y", "z", "r_deg", "p_deg", "y_deg"))
-    pose = torch.eye(4, dtype=torch.float64)
-    for axis, angle in enumerate(degrees):
-        pose[:3, :3] = pose[:3, :3] @ _rotation(axis, math.radians(angle))
-    pose[:3, 3] = torch.tensor([x, y, z], dtype=torch.float64)
-    return pose
-
-
-def _rotation(axis: int, angle: float) -> Tensor:
-    """Rotation [3, 3] about axis x, y or z (0, 1, 2); angle in radians."""
-    rotation = torch.eye(3, dtype=torch.float64)
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    rotation[first, first] = rotation[second, second] = math.cos(angle)
-    rotation[first, second], rotation[second, first] = -math.sin(angle), math.sin(angle)
-    return rotation
+    numbers = [guess.number(key) for key in ("x", "y", "z", "r_deg", "p_deg", "y_deg")]
+    position, degrees = torch.tensor(numbers, dtype=torch.float64).view(2, 3)
+    roll, pitch, yaw = (rotations_about(axis, degrees[axis : axis + 1].deg2rad())[0] for axis in range(3))
+    return checked_pose(torch.cat([roll @ pitch @ yaw, position[:, None]], 1), str(file))

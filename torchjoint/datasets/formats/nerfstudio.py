@@ -20,21 +20,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix
-from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_image_size
+from torchjoint.datasets.cameras import Camera, pinhole_matrix, world_to_camera
+from torchjoint.datasets.files.readers import read_array, read_depth, read_image_size
 from torchjoint.datasets.files.text import Record, frame_names, path_inside, read_record
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_unlisted
-from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.threads import LazySequence
+from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.checks import as_pose
 
 WHAT = "transforms.json, as of nerfstudio (or a file of that kind itself)"
 
@@ -45,16 +43,7 @@ _FOCAL = {"fl_x", "fl_y", "camera_angle_x", "camera_angle_y"}
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")
 
 
-class _Shot(NamedTuple):
-    color: Path
-    camera: Camera
-    world_to_camera: Tensor
-    depth: Path | None
-    depth_unit: float | None
-
-
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a transforms.json, or a folder with one."""
     is_file = path.suffix == ".json" and path.name.startswith("transforms")
     return has_file(path) if is_file else has_file(path / "transforms.json")
 
@@ -65,12 +54,11 @@ def scenes(path: Path) -> dict[str, Path]:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the scene; see :func:`torchjoint.load_scene`."""
     file = path / "transforms.json" if has_folder(path) else path
     record = read_record(file, "poses as of nerfstudio")
     clouds = [_inside(file, record, "ply_file_path")] if "ply_file_path" in record else []
     if clouds and find_cloud(file.parent, options, clouds) is None:
-        raise FileNotFoundError(f"{clouds[0]}: missing; expected the cloud that {file} gives as ply_file_path")
+        present(clouds[0], f"the cloud that {file} gives as ply_file_path")
     return scene_of_frames(file.parent, read_frames(file, record), options, clouds)
 
 
@@ -82,34 +70,31 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
         Record((for_all if _FOCAL.isdisjoint(frame.values) else shared) | dict(frame.values), frame.name)
         for frame in record.records("frames")
     ]
-    shots = sorted((_shot(file, frame) for frame in frames), key=lambda shot: shot.color)
+    shots = sorted((_shot(file, frame) for frame in frames), key=lambda pair: pair[0])
     if not shots:
         raise ValueError(f"{file}: frames: expected at least one, got none")
     for one, following in pairwise(shots):
-        if one.color == following.color:
-            raise ValueError(f"{file}: frames: two are of {one.color}")
-    tell_unlisted(str(file), [shot.color for shot in shots])
-    names = frame_names([str(shot.color) for shot in shots])
-    return LazySequence(len(shots), lambda i: _read_frame(shots[i], names[i]), names)
+        if one[0] == following[0]:
+            raise ValueError(f"{file}: frames: two are of {one[0]}")
+    tell_unlisted(str(file), [color for color, _ in shots])
+    names = frame_names([str(color) for color, _ in shots])
+    return read_shots([shot._replace(name=name) for (_, shot), name in zip(shots, names, strict=True)])
 
 
-def _shot(file: Path, frame: Record) -> _Shot:
+def _shot(file: Path, frame: Record) -> tuple[Path, Shot]:
     color = _inside(file, frame, "file_path")
     named = [color, *(color.with_name(color.name + suffix) for suffix in _SUFFIXES)]
     color = next((one for one in named if has_file(one)), color)
     depth = _inside(file, frame, "depth_file_path") if "depth_file_path" in frame else None
     for needed in (color, depth):
-        if needed is not None and not has_file(needed):
-            raise FileNotFoundError(f"{needed}: missing; expected an image that {frame.name} gives")
+        if needed is not None:
+            present(needed, f"an image that {frame.name} gives")
     unit = frame.number("depth_unit_scale_factor") if "depth_unit_scale_factor" in frame else None
     if unit is not None and unit <= 0:
         raise ValueError(f"{frame.name}: depth_unit_scale_factor: expected the metres per unit, above 0, got {unit}")
-    return _Shot(color, read_camera(frame, color), _world_to_camera(frame), depth, unit)
-
-
-def _read_frame(shot: _Shot, name: str) -> Frame:
-    depth = None if shot.depth is None else _read_depth(shot.depth, shot.depth_unit)
-    return shot.camera.frame(read_image(shot.color, shot.camera.size), shot.world_to_camera, depth, name)
+    pose = world_to_camera(frame.matrix("transform_matrix", 4), f"{frame.name}: transform_matrix", opengl=True)
+    read = None if depth is None else partial(_read_depth, depth, unit)
+    return color, Shot(color, read_camera(frame, color), pose, color.name, read)
 
 
 def _read_depth(path: Path, unit: float | None) -> Tensor:
@@ -124,14 +109,6 @@ def _read_depth(path: Path, unit: float | None) -> Tensor:
         unit = 1.0 if values.is_floating_point() else 0.001
     depth = values.to(torch.float32) * unit
     return torch.where(torch.isfinite(depth) & (depth > 0), depth, 0.0)
-
-
-def _world_to_camera(frame: Record) -> Tensor:
-    matrix = frame.matrix("transform_matrix", 4)
-    name = f"{frame.name}: transform_matrix"
-    if matrix.shape[0] == 3:
-        matrix = torch.cat([matrix, torch.eye(4, dtype=torch.float64)[3:]])
-    return invert_pose(as_pose(matrix, name) @ FLIP_YZ)
 
 
 def read_camera(frame: Record, color: Path) -> Camera:

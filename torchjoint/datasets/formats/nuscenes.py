@@ -22,11 +22,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.boxes import instances_in_boxes
-from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.cameras import Camera, rotations_about
 from torchjoint.datasets.files.clouds import read_scan
 from torchjoint.datasets.files.text import Record, path_inside, read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots
+from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_pose
@@ -35,12 +35,10 @@ WHAT = "a sample of nuScenes: sample.json (MMDetection3D) with its scan and imag
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has a sample.json."""
     return has_folder(path) and has_file(path / "sample.json")
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the sample; see :func:`torchjoint.load_scene`."""
     sample = read_record(path / "sample.json", "a sample of nuScenes")
     lidar = sample.record("lidar")
     columns = lidar.number("num_pts_feats")
@@ -68,6 +66,4 @@ def _instances(records: list[Record], points: Tensor) -> Tensor:
     for record, size in zip(records, sizes, strict=True):
         if not (size > 0).all():
             raise ValueError(f"{record.name}: bbox_3d: expected a length, width and height > 0, got {size.tolist()}")
-    cos, sin, zero, one = yaw.cos(), yaw.sin(), torch.zeros_like(yaw), torch.ones_like(yaw)
-    rotations = torch.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], dim=1).view(-1, 3, 3)
-    return instances_in_boxes(points, centers, sizes, rotations)
+    return instances_in_boxes(points, centers, sizes, rotations_about(2, yaw))

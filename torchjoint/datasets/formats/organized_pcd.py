@@ -37,7 +37,6 @@ LARGEST_OFFSET = 0.5
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the header describes an organised, coloured cloud."""
     if path.suffix.lower() != ".pcd" or not has_file(path):
         return False
     try:
@@ -53,7 +52,6 @@ def scenes(path: Path) -> dict[str, Path]:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the view; see :func:`torchjoint.load_scene`."""
     cloud = read_pcd(path)
     points, colors, normals, *_ = cloud.cloud(str(path))
     if colors is None:

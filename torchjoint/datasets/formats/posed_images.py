@@ -9,34 +9,29 @@ SCAN_vh_clean_2.ply                the cloud, with ScanNet's annotation (optiona
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from torchjoint.datasets.formats.scannet import CLOUD, frames_of
-from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames
-from torchjoint.datasets.scannet_cameras import Cameras, read_calibration
-from torchjoint.datasets.scannet_truth import has_point_instances, read_point_instances
+from torchjoint.datasets.formats.scannet import CLOUD, Cameras, frames_of, read_calibration
+from torchjoint.datasets.recording import Options, scene_of_frames, sorted_images
+from torchjoint.datasets.truth import vertex_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.scene import Frame, Scene
 
 WHAT = "intrinsic.txt with NNNNN.jpg and NNNNN.txt (posed_images)"
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder has images, poses and intrinsics side by side."""
     return has_folder(path) and has_file(path / "intrinsic.txt") and bool(_images(path))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads a scan; see :func:`torchjoint.load_scene`."""
     scan, beside = path.name, path.absolute().parent.parent / "scans" / path.name
     folder = path if has_file(path / f"{scan}{CLOUD}") else beside
     cloud = folder / f"{scan}{CLOUD}"
-    scene = scene_of_frames(path, _read_frames(path), options, [cloud])
-    if find_cloud(path, options, [cloud]) != cloud or not has_point_instances(folder, scan):
-        return scene
-    return replace(scene, truth=Truth(read_point_instances(folder, scan, len(scene.points))))
+    instances = partial(vertex_instances, folder, scan)
+    return scene_of_frames(path, _read_frames(path), options, [cloud], instances=instances)
 
 
 def _read_frames(path: Path) -> LazySequence[Frame]:
@@ -48,5 +43,5 @@ def _read_frames(path: Path) -> LazySequence[Frame]:
 
 
 def _images(path: Path) -> list[Path]:
-    images = (file for file in path.iterdir() if file.suffix == ".jpg" and file.stem.isascii() and file.stem.isdigit())
-    return sorted(images, key=lambda file: (int(file.stem), file.stem))
+    files = (file for file in path.iterdir() if file.suffix == ".jpg" and file.stem.isascii() and file.stem.isdigit())
+    return sorted_images(path, files)

@@ -14,23 +14,24 @@ readers, nerfstudio's record3d_utils.py (poses, K, the export) and USA-Net's r3d
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import FLIP_YZ, Camera, pinhole_matrix, rotations_from_quaternions
-from torchjoint.datasets.files.exr import read_exr
-from torchjoint.datasets.files.lzfse import decompress
-from torchjoint.datasets.files.members import Members
+from torchjoint.datasets.cameras import FLIP_YZ, Camera, invert_pose, pinhole_matrix, poses_from_quaternions
+from torchjoint.datasets.files.binary import Members
 from torchjoint.datasets.files.readers import decode_image, rgb_of
 from torchjoint.datasets.files.text import Record, parse_record
-from torchjoint.datasets.recording import Options, invert_pose, scene_of_frames
+from torchjoint.datasets.recording import Options, scene_of_frames
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
+from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
 
@@ -38,10 +39,13 @@ WHAT = "an .r3d file, metadata with rgbd/, or EXR_RGBD/ with metadata.json, rgb/
 EXPORT = "EXR_RGBD"
 #: Pixels of packed depth: those of TrueDepth; a LiDAR has 256 x 192.
 MAX_DEPTH = 640 * 480
+#: A packed block starts so. It holds at most 10,000 matches of 2,359 bytes, whatever size its header declares.
+_BLOCKS = (b"bvx1", b"bvx2")
+#: Apple's encoder begins a new block after so many bytes or more: 10,000 matches of at least 4, or 40,000 literals.
+_BLOCK_BYTES = 40_000
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is an .r3d file, its unpacked folder, or an export."""
     if has_file(path):
         return path.suffix.lower() == ".r3d"
     unpacked = has_file(path / "metadata") and has_folder(path / "rgbd")
@@ -50,7 +54,6 @@ def recognizes(path: Path) -> bool:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the recording; see :func:`torchjoint.load_scene`."""
     scene = scene_of_frames(path, _read_frames(Members(_folder(path))), options)
     return replace(scene, name=path.stem if has_file(path) else path.name)
 
@@ -102,11 +105,8 @@ def _unpack(files: Members, file: str, values: Record, dtype: str) -> Tensor:
 
 def _read_poses(values: Record) -> list[Tensor]:
     """World-to-camera poses [4, 4] float64."""
-    rows = values.matrix("poses", 7)
-    poses = torch.eye(4, dtype=torch.float64).repeat(len(rows), 1, 1)
-    if len(rows):
-        rotations = rotations_from_quaternions(rows[:, :4].numpy(), f"{values.name}: poses")
-        poses[:, :3, :3], poses[:, :3, 3] = torch.from_numpy(rotations.as_matrix()), rows[:, 4:]
+    rows = values.matrix("poses", 7).numpy()
+    poses = poses_from_quaternions(rows[:, :4], rows[:, 4:], f"{values.name}: poses")
     return [invert_pose(pose @ FLIP_YZ) for pose in poses]
 
 
@@ -117,3 +117,59 @@ def _read_cameras(values: Record, count: int) -> list[Camera]:
     if len(rows) not in (1, count):
         raise ValueError(f"{values.name}: {key}: expected a row for each of {count} poses, got {len(rows)} rows")
     return [Camera(pinhole_matrix(*row), size, name=values.name) for row in rows.expand(count, 4).tolist()]
+
+
+def decompress(data: bytes, size: int, name: str = "data") -> bytes:
+    """Decompresses data to `size` bytes; `name` is for messages.
+
+    Data that have too many blocks for this size are not unpacked: a few bytes can become gigabytes.
+    """
+    with needed_for("reading depth of Record3D", "lzfse", "torchjoint[record3d]"):
+        import lzfse
+    # The library allocates the size that the first block declares, and then as much as the blocks give.
+    declared = int.from_bytes(data[4:8], "little")
+    blocks = sum(data.count(magic) for magic in _BLOCKS)
+    if len(data) < 12 or len(data) > 2 * size + 64 or declared > size or blocks > 4 + size // _BLOCK_BYTES:
+        raise ValueError(f"{name}: damaged: expected {size} bytes of LZFSE data, got {len(data)} packed bytes")
+    try:
+        out: bytes = lzfse.decompress(data)
+    except (lzfse.error, MemoryError):
+        raise ValueError(f"{name}: damaged: not whole LZFSE data") from None
+    if len(out) != size:
+        raise ValueError(f"{name}: damaged: expected {size} bytes of LZFSE data, got {len(out)}")
+    return out
+
+
+def read_exr(path: Path, channel: str) -> Tensor:
+    """Reads a channel of the first part of a file. The library unpacks all channels of all parts, so all are bounded.
+
+    Returns:
+        [H, W] float32.
+    """
+    present(path, "an image, .exr")
+    with needed_for("reading .exr", "OpenEXR", "torchjoint[record3d]"):
+        import OpenEXR
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            sizes = [_size(part.header) for part in file.parts]
+        height, width, _ = sizes[0]
+        bounds.check(sum(map(math.prod, sizes)), bounds.PIXELS, "numbers in all channels")
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = file.channels()
+            if channel not in channels:
+                raise ValueError(f"expected a channel {channel}, got {', '.join(channels) or 'none'}")
+            pixels = np.array(channels[channel].pixels, dtype=np.float32)
+    except Exception as error:  # the library raises several types of its own
+        raise ValueError(f"{path}: not a whole EXR image: {error}") from error
+    if pixels.shape != (height, width):
+        raise ValueError(f"{path}: expected {width} x {height} pixels, got an array {list(pixels.shape)}")
+    return torch.from_numpy(pixels)
+
+
+def _size(header: dict[str, Any]) -> tuple[int, int, int]:
+    """Height, width and number of channels of a part."""
+    first, last = (np.asarray(corner, dtype=np.int64) for corner in header["dataWindow"])
+    width, height = (int(count) for count in last - first + 1)
+    if width < 1 or height < 1 or "deep" in str(header["type"]):
+        raise ValueError(f"expected an image with pixels, got {width} x {height}, {header['type']}")
+    return height, width, len(header["channels"])

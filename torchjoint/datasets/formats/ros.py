@@ -20,17 +20,20 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.cameras import invert_pose
 from torchjoint.datasets.files.ros_bag import SUFFIXES, Bag, Stamp
 from torchjoint.datasets.files.ros_messages import (
     COMPRESSED,
     IMAGE,
+    ODOMETRY,
+    Poses,
     camera,
     cloud_points,
     color_image,
@@ -39,10 +42,8 @@ from torchjoint.datasets.files.ros_messages import (
     is_depth,
 )
 from torchjoint.datasets.formats.tum import associate
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, scene_of_frames, tell_left_out
-from torchjoint.datasets.ros_poses import ODOMETRY, Poses
+from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_left_out
 from torchjoint.runtime.foreign_files import has_file
-from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.scene import voxel_subsample
 
@@ -57,12 +58,6 @@ STILL = "none"
 FEW = 1_000_000
 
 
-class _Shot(NamedTuple):
-    color: Stamp
-    depth: Stamp | None
-    camera_to_world: Tensor
-
-
 class _Topics(NamedTuple):
     color: str
     info: str
@@ -72,14 +67,12 @@ class _Topics(NamedTuple):
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a recording of ROS."""
     if has_file(path):
         return path.suffix.lower() in SUFFIXES
     return has_file(path / "metadata.yaml") and any(".mcap" in one.name or ".db3" in one.name for one in path.iterdir())
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the recording; see :func:`torchjoint.load_scene`."""
     bag = Bag(path)
     poses = Poses(bag, options.time_limit)
     topics = _find_topics(bag, poses, options.topics)
@@ -171,33 +164,27 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
     depths = [] if topics.depth is None else bag.stamps(topics.depth)
     depth_of = dict(associate([one.time for one in colors], [one.time for one in depths], limit))
     at = poses.world_from(_frame(bag.first(topics.color)), [one.time for one in colors])
-    shots = [
-        _Shot(color, depths[depth_of[index]] if index in depth_of else None, pose)
-        for index, (color, pose) in enumerate(zip(colors, at, strict=True))
-        if pose is not None
-    ]
-    if not shots:
+    posed = [(index, pose) for index, pose in enumerate(at) if pose is not None]
+    if not posed:
         raise ValueError(f"{bag.path}: none of {len(colors)} images has a pose within {limit} s (tf or odometry)")
-    tell_left_out(str(bag.path), len(colors) - len(shots), len(colors), f"have no pose within {limit} s,")
+    tell_left_out(str(bag.path), len(colors) - len(posed), len(colors), f"have no pose within {limit} s,")
     rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
     info, size = bag.first(topics.info), []
     if has_region(info):
         _, *size = color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape
     lens = camera(info, rectified, f"{bag.path}: {topics.info}", (size[0], size[1]) if size else None)
-    names = [f"{shot.color.time:.6f}" for shot in shots]
-    return LazySequence(len(shots), _reader(bag, topics, shots, lens, names), names)
+    shots = []
+    for index, pose in posed:
+        name, depth = f"{colors[index].time:.6f}", None
+        if topics.depth is not None and index in depth_of:
+            depth = partial(_read, depth_image, bag, topics.depth, depths[depth_of[index]], name)
+        color = partial(_read, color_image, bag, topics.color, colors[index], name)
+        shots.append(Shot(color, lens, invert_pose(pose), name, depth))
+    return read_shots(shots)
 
 
-def _reader(bag: Bag, topics: _Topics, shots: list[_Shot], lens: Camera, names: list[str]) -> Callable[[int], Frame]:
-    def read(index: int) -> Frame:
-        shot, name = shots[index], f"{bag.path}: {topics.color} at {names[index]}"
-        image = color_image(bag.read(topics.color, shot.color), name)
-        depth = None
-        if shot.depth is not None and topics.depth is not None:
-            depth = depth_image(bag.read(topics.depth, shot.depth), f"{bag.path}: {topics.depth} at {names[index]}")
-        return lens.frame(image, invert_pose(shot.camera_to_world), depth, names[index])
-
-    return read
+def _read(convert: Callable[[Any, str], Tensor], bag: Bag, topic: str, stamp: Stamp, name: str) -> Tensor:
+    return convert(bag.read(topic, stamp), f"{bag.path}: {topic} at {name}")
 
 
 def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tuple[Tensor, Tensor | None]:

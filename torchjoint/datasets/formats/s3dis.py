@@ -27,12 +27,10 @@ WHAT = "Annotations/ with CLASS_N.txt, such as chair_1.txt (a room of S3DIS)"
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a room's folder."""
     return has_folder(path) and bool(_things(path))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the room; see :func:`torchjoint.load_scene`."""
     parts = [_read_points(file) for file in _things(path)]
     rows = torch.from_numpy(np.concatenate(parts))
     instances = torch.cat([torch.full((len(part),), index) for index, part in enumerate(parts)])

@@ -2,7 +2,7 @@
 
 A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes" (CVPR 2017).
 
-SCAN.sens                              the frames; if absent, the frames are single files:
+SCAN.sens                              the frames: a sensor stream, version 4; if absent, they are single files:
 color/N.jpg, depth/N.png, pose/N.txt   8-bit RGB; 16-bit, millimetres; 4x4 camera-to-world, -inf = lost (left out)
 intrinsic/intrinsic_{color,depth}.txt  4x4, of the exported frames; or SCAN.txt, which holds the calibrations, too
 SCAN_vh_clean_2.ply                    the cloud: the mesh's vertices (fused from depth if absent)
@@ -18,31 +18,56 @@ cameras nor SCAN.txt's axis alignment are applied.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import register_depth
-from torchjoint.datasets.files.readers import read_depth, read_image, read_matrix
-from torchjoint.datasets.files.sens import SensFile
-from torchjoint.datasets.recording import Options, find_cloud, invert_pose, read_shots, scene_of_frames, tell_left_out
-from torchjoint.datasets.scannet_cameras import Calibration, Cameras, find_cameras
-from torchjoint.datasets.scannet_truth import has_point_instances, image_instances, read_point_instances
-from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, or_unreadable
+from torchjoint.datasets.cameras import register_depth, stretch_intrinsics, world_to_camera
+from torchjoint.datasets.files.binary import BinaryFile
+from torchjoint.datasets.files.readers import decode_image, read_depth, read_image, read_matrix, rgb_of
+from torchjoint.datasets.recording import Options, read_shots, scene_of_frames, sorted_images, tell_left_out
+from torchjoint.datasets.truth import image_instances, vertex_instances
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import (
+    damage_is,
+    dict_of,
+    has_file,
+    has_folder,
+    open_file,
+    or_unreadable,
+    read_text,
+)
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene.checks import as_pose
+from torchjoint.scene import Frame, Scene
+from torchjoint.scene.checks import as_intrinsics
 
 WHAT = "SCAN.sens, or SCAN_vh_clean_2.ply, or color/, pose/ and intrinsic/, in a folder called SCAN (ScanNet)"
 CLOUD = "_vh_clean_2.ply"
 _SUFFIXES = (".jpg", ".jpeg", ".png")
+#: Of a .sens file; and its numbers of codecs of colour, and of depth.
+VERSION = 4
+_PNG, _JPEG = 1, 2
+_RAW, _ZLIB = 0, 1
+
+#: Intrinsics and extrinsics of colour and depth, their codecs, their sizes, depth units per metre.
+_HEADER = "64f2i4If"
+#: Pose, times of colour and depth, bytes of colour and depth.
+_FRAME, _FRAME_BYTES = "16f4Q", 96
+Size = tuple[int, int]
+
+#: (H, W) of the sensor's images in nearly all scans.
+COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a scan's folder, or a .sens file."""
     if has_file(path):
         return path.suffix == ".sens"
     own = any(has_file(path / f"{path.name}{suffix}") for suffix in (".sens", CLOUD))
@@ -51,15 +76,11 @@ def recognizes(path: Path) -> bool:
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads a scan; see :func:`torchjoint.load_scene`."""
     folder, scan = (path.parent, path.stem) if has_file(path) else (path, path.name)
     frames = _read_frames(folder, scan)
-    cloud = folder / f"{scan}{CLOUD}"
-    scene = scene_of_frames(folder, frames, options, [cloud])
-    is_annotated = find_cloud(folder, options, [cloud]) == cloud and has_point_instances(folder, scan)
-    points = read_point_instances(folder, scan, len(scene.points)) if is_annotated else None
-    images = image_instances(folder, scan, frames)
-    return replace(scene, name=scan, truth=Truth(points, images) if points is not None or images else None)
+    instances, images = partial(vertex_instances, folder, scan), image_instances(folder, scan, frames)
+    clouds = [folder / f"{scan}{CLOUD}"]
+    return replace(scene_of_frames(folder, frames, options, clouds, instances=instances, images=images), name=scan)
 
 
 def scenes(path: Path) -> dict[str, Path]:
@@ -71,29 +92,20 @@ def scenes(path: Path) -> dict[str, Path]:
 
 def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
     if has_file(folder / f"{scan}.sens"):
-        return _stream_frames(SensFile(folder / f"{scan}.sens"))
+        stream = SensFile(folder / f"{scan}.sens")
+        cameras = Cameras(
+            Calibration(stream.color_intrinsics, (stream.color_size,)),
+            Calibration(stream.depth_intrinsics, (stream.depth_size,)),
+        )
+        poses = [(f"{stream.path}, pose of frame {i}", pose) for i, pose in enumerate(stream.poses)]
+        names = [str(i) for i in range(len(stream))]
+        return _frames(stream.path, names, poses, cameras, lambda i: (stream.color(i), stream.depth(i)))
     if not has_frames(folder):
         return read_shots(())
-    cameras = find_cameras(folder, folder / f"{scan}.txt")
-    if cameras is None:
+    found = find_cameras(folder, folder / f"{scan}.txt")
+    if found is None:
         raise FileNotFoundError(f"{folder}/intrinsic/intrinsic_color.txt: missing, and {scan}.txt has no calibration")
-    return read_frames(folder, cameras)
-
-
-def _stream_frames(stream: SensFile) -> LazySequence[Frame]:
-    cameras = Cameras(
-        Calibration(stream.color_intrinsics, (stream.color_size,)),
-        Calibration(stream.depth_intrinsics, (stream.depth_size,)),
-    )
-    kept = torch.isfinite(stream.poses).all(dim=(1, 2)).nonzero().flatten().tolist()
-    tell_left_out(str(stream.path), len(stream) - len(kept), len(stream))
-    extrinsics = [invert_pose(as_pose(stream.poses[i], f"{stream.path}, pose of frame {i}")) for i in kept]
-
-    def read(place: int) -> Frame:
-        i = kept[place]
-        return make_frame(str(i), stream.color(i), stream.depth(i), cameras, extrinsics[place])
-
-    return LazySequence(len(kept), read, [str(i) for i in kept])
+    return read_frames(folder, found)
 
 
 def has_frames(folder: Path) -> bool:
@@ -111,28 +123,40 @@ def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
         folder: holds color/, pose/ and (optional) depth/.
         cameras: colour and depth cameras.
     """
-    images = sorted(
-        (file for file in (folder / "color").iterdir() if file.suffix.lower() in _SUFFIXES),
-        key=lambda file: _order(file.stem),
-    )
-    no_twice((file.stem for file in images), f"{folder / 'color'}: the colour image of frame")
+    files = (file for file in (folder / "color").iterdir() if file.suffix.lower() in _SUFFIXES)
+    images = sorted_images(folder / "color", files)
     return frames_of(folder, images, cameras, (folder / "pose", folder / "depth"))
 
 
 def frames_of(folder: Path, images: Sequence[Path], cameras: Cameras, beside: tuple[Path, Path]) -> LazySequence[Frame]:
     """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
-    pose_files = [beside[0] / f"{file.stem}.txt" for file in images]
-    poses = [read_matrix(file, (4, 4)) for file in pose_files]
-    kept = [i for i, pose in enumerate(poses) if torch.isfinite(pose).all()]
-    tell_left_out(str(folder), len(images) - len(kept), len(images))
-    extrinsics = {i: invert_pose(as_pose(poses[i], str(pose_files[i]))) for i in kept}
+    names = [file.stem for file in images]
+    files = [beside[0] / f"{name}.txt" for name in names]
 
-    def read(place: int) -> Frame:
-        file, pose = images[kept[place]], extrinsics[kept[place]]
-        depth = beside[1] / f"{file.stem}.png"
-        return make_frame(file.stem, read_image(file), read_depth(depth) if has_file(depth) else None, cameras, pose)
+    def read(index: int) -> tuple[Tensor, Tensor | None]:
+        depth = beside[1] / f"{names[index]}.png"
+        return read_image(images[index]), read_depth(depth) if has_file(depth) else None
 
-    return LazySequence(len(kept), read, [images[i].stem for i in kept])
+    return _frames(folder, names, [(str(file), read_matrix(file, (4, 4))) for file in files], cameras, read)
+
+
+def _frames(
+    source: Path,
+    names: Sequence[str],
+    poses: Sequence[tuple[str, Tensor]],
+    cameras: Cameras,
+    read: Callable[[int], tuple[Tensor, Tensor | None]],
+) -> LazySequence[Frame]:
+    """The frames with finite poses; each pose has its name for messages; `read` gives colours and depth of a frame."""
+    kept = [i for i, (_, pose) in enumerate(poses) if torch.isfinite(pose).all()]
+    tell_left_out(str(source), len(poses) - len(kept), len(poses))
+    extrinsics = {i: world_to_camera(poses[i][1], poses[i][0]) for i in kept}
+
+    def frame(place: int) -> Frame:
+        i = kept[place]
+        return make_frame(names[i], *read(i), cameras, extrinsics[i])
+
+    return LazySequence(len(kept), frame, [names[i] for i in kept])
 
 
 def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras, world_to_camera: Tensor) -> Frame:
@@ -147,6 +171,184 @@ def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras,
     return Frame(image, intrinsics, world_to_camera, depth=depth, name=name)
 
 
-def _order(stem: str) -> tuple[int, str]:
-    """Sort key: by number, 2 before 10."""
-    return (int(stem) if stem.isascii() and stem.isdigit() else -1, stem)
+@dataclass(frozen=True)
+class Calibration:
+    """Intrinsics [3, 3], pixel centres at integer coordinates, and the image size (H, W) to which they apply.
+
+    If `is_certain` is False, the size is chosen from `sizes` and the size of the actual images: the size
+    whose centre is nearest to the principal point.
+    """
+
+    intrinsics: Tensor
+    sizes: tuple[Size, ...]
+    is_certain: bool = True
+
+    def scaled_to(self, size: Size) -> Tensor:
+        """Returns the intrinsics [3, 3] float64 of images that were resized to (H, W), each axis independently."""
+        known = self.sizes if self.is_certain else (size, *self.sizes)
+        old = min(known, key=self._off_center)
+        return stretch_intrinsics(self.intrinsics, old, size)
+
+    def _off_center(self, size: Size) -> float:
+        x, y = self.intrinsics[:2, 2].tolist()
+        return abs((x + 0.5) / size[1] - 0.5) + abs((y + 0.5) / size[0] - 0.5)
+
+
+class Cameras(NamedTuple):
+    """Calibrations of the colour and the depth images."""
+
+    color: Calibration
+    depth: Calibration
+
+
+def find_cameras(folder: Path, info: Path) -> Cameras | None:
+    """Finds the cameras of a folder of exported frames; None if no file has a calibration.
+
+    Args:
+        folder: may hold intrinsic/intrinsic_color.txt and intrinsic/intrinsic_depth.txt, 4x4, as ScanNet's exporter
+            writes them. Without the second file, the first is also used for depth, because ScanNet's depth is warped to
+            the colour camera's view. They apply either to the sensor's resolution, which the files do not give, or to
+            the images, if the calibration was scaled with them.
+        info: ScanNet's SCAN.txt, which gives the sensor's calibration and resolution, but less exactly.
+    """
+    color = folder / "intrinsic" / "intrinsic_color.txt"
+    if has_file(color):
+        depth = color.with_name("intrinsic_depth.txt")
+        of_color = read_calibration(color)
+        return Cameras(of_color, read_calibration(depth) if has_file(depth) else of_color)
+    return _read_info(info) if has_file(info) else None
+
+
+def read_calibration(file: Path) -> Calibration:
+    """Reads a file of 4x4 or 3x3 numbers."""
+    side = 3 if len(read_text(file, "a description", errors="replace").replace(",", " ").split()) == 9 else 4
+    matrix = as_intrinsics(read_matrix(file, (side, side))[:3, :3], str(file))
+    return Calibration(matrix, (COLOR_SIZE, DEPTH_SIZE), is_certain=False)
+
+
+def _read_info(path: Path) -> Cameras | None:
+    """Reads lines such as "fx_color = 1170.187988"; None if the file has no calibration.
+
+    Depth images are warped to the colour camera's view, so the scaled colour calibration holds for depth, too.
+    The file's fx_depth does not: it describes the sensor before warping (https://github.com/ScanNet/ScanNet/issues/92).
+    """
+    try:
+        lines = [line.partition("=") for line in read_text(path, "a description of a scan").splitlines()]
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: expected lines of text, got {error}") from error
+    values = dict_of([(name.strip(), value.strip()) for name, _, value in lines if value], f"{path}: line")
+    if "fx_color" not in values:
+        return None
+    names = ("fx_color", "fy_color", "mx_color", "my_color", "colorHeight", "colorWidth")
+    try:
+        fx, fy, cx, cy, height, width = (float(values[name]) for name in names)
+    except KeyError as error:
+        raise ValueError(f"{path}: expected a line {error.args[0]} = ..., as there is one of fx_color") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: expected numbers, got {error}") from error
+    if not (1 <= height <= 2**16 and 1 <= width <= 2**16):
+        raise ValueError(f"{path}: expected an image size in pixels, got colorWidth {width:g}, colorHeight {height:g}")
+    matrix = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
+    both = Calibration(as_intrinsics(matrix, f"{path}, colour"), ((int(height), int(width)),))
+    return Cameras(both, both)
+
+
+class _Blobs(NamedTuple):
+    """Byte offset and sizes of a frame's images in the file."""
+
+    start: int
+    color_bytes: int
+    depth_bytes: int
+
+
+class SensFile:
+    """A `.sens` file. Opening reads the file header and all frame headers; images are decoded on access.
+
+    Attributes:
+        color_intrinsics: [3, 3] float64, for images of `color_size`; pixel centres at integer coordinates.
+        depth_intrinsics: [3, 3] float64, for images of `depth_size`.
+        color_size: (H, W).
+        depth_size: (H, W).
+        poses: [F, 4, 4] float64, camera-to-world, OpenCV axes, metres; -inf where tracking was lost.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with BinaryFile(path) as file:
+            self._read_header(file)
+            self._blobs, poses = _index(file)
+        self.poses = torch.from_numpy(np.array(poses, dtype=np.float64).reshape(-1, 4, 4))
+
+    def __len__(self) -> int:
+        return len(self._blobs)
+
+    def color(self, index: int) -> Tensor:
+        """Decodes a frame's colours, [3, H, W] uint8 RGB, at the image's own size. ValueError if damaged."""
+        blobs = self._blobs[index]
+        name = f"{self.path}, colour of frame {index}"
+        return rgb_of(decode_image(self._read(blobs.start, blobs.color_bytes, name), name), name)
+
+    def depth(self, index: int) -> Tensor:
+        """Decodes a frame's depth, [h, w] float32 metres, 0 = unknown, of `depth_size`. ValueError if damaged."""
+        blobs = self._blobs[index]
+        name = f"{self.path}, depth of frame {index}"
+        data = self._read(blobs.start + blobs.color_bytes, blobs.depth_bytes, name)
+        expected = 2 * math.prod(self.depth_size)
+        if self._depth_codec == _ZLIB:
+            data = _inflate(data, expected, name)
+        if len(data) != expected:
+            raise ValueError(f"{name}: expected {expected} bytes, got {len(data)}")
+        raw = np.frombuffer(data, dtype="<u2").reshape(self.depth_size)
+        metres = np.where(raw == 65535, 0, raw).astype(np.float32) / np.float32(self._depth_shift)
+        return torch.from_numpy(metres)
+
+    def _read_header(self, file: BinaryFile) -> None:
+        (version,) = file.read("I")
+        if version != VERSION:
+            raise ValueError(f"{self.path}: expected a .sens file of version {VERSION}, got version {version}")
+        (name_bytes,) = file.read("Q")
+        file.skip(name_bytes)
+        *cameras, color_codec, depth_codec, cw, ch, dw, dh, shift = file.read(_HEADER)
+        matrices = torch.tensor(cameras, dtype=torch.float64).reshape(4, 4, 4)
+        self.color_intrinsics = as_intrinsics(matrices[0, :3, :3], f"{self.path}, colour's intrinsics")
+        self.depth_intrinsics = as_intrinsics(matrices[2, :3, :3], f"{self.path}, depth's intrinsics")
+        self.color_size, self.depth_size = (ch, cw), (dh, dw)
+        self._depth_codec, self._depth_shift = depth_codec, shift
+        if color_codec not in (_PNG, _JPEG) or depth_codec not in (_RAW, _ZLIB):
+            raise ValueError(
+                f"{self.path}: expected colour as PNG or JPEG (1, 2) and depth raw or by zlib (0, 1), got codecs "
+                f"{color_codec} and {depth_codec}"
+            )
+        if not all(0 < h * w <= bounds.PIXELS for h, w in (self.color_size, self.depth_size)):
+            raise ValueError(f"{self.path}: impossible image sizes {cw} x {ch}, {dw} x {dh}")
+        if not (math.isfinite(shift) and shift > 0):
+            raise ValueError(f"{self.path}: expected a positive number of depth units per metre, got {shift}")
+
+    def _read(self, start: int, count: int, name: str) -> bytes:
+        with open_file(self.path) as stream:
+            stream.seek(start)
+            data = stream.read(count)
+        if len(data) != count:
+            raise ValueError(f"{name}: the file has become shorter since it was opened")
+        return data
+
+
+def _index(file: BinaryFile) -> tuple[list[_Blobs], list[tuple[float, ...]]]:
+    """Positions of the frames' images in the file, and the poses of the frames."""
+    blobs, poses = [], []
+    for _ in range(file.count(_FRAME_BYTES)):
+        *pose, _, _, color_bytes, depth_bytes = file.read(_FRAME)
+        blobs.append(_Blobs(file.place, color_bytes, depth_bytes))
+        poses.append(tuple(pose))
+        file.skip(color_bytes + depth_bytes)
+    return blobs, poses
+
+
+def _inflate(data: bytes, expected: int, name: str) -> bytes:
+    """Decompresses data to `expected` bytes; allocates at most one byte more."""
+    stream = zlib.decompressobj()
+    with damage_is(f"{name}: not a whole zlib stream"):
+        unpacked = stream.decompress(data, expected + 1)
+    if not stream.eof or len(unpacked) != expected:
+        raise ValueError(f"{name}: expected a zlib stream of {expected} bytes, got another or a truncated one")
+    return unpacked

@@ -19,26 +19,24 @@ toolkit, github.com/scannetpp/scannetpp (common/scene_release.py, iphone/arkit_p
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from torchjoint.datasets.cameras import Camera
-from torchjoint.datasets.files.colmap_model import ColmapImage, has_model, read_images
+from torchjoint.datasets.cameras import Camera, world_to_camera
 from torchjoint.datasets.files.text import read_record
+from torchjoint.datasets.formats.colmap import ColmapImage, has_model, read_images
 from torchjoint.datasets.formats.nerfstudio import read_camera
 from torchjoint.datasets.recording import (
     Options,
     Shot,
-    find_cloud,
-    invert_pose,
     read_shots,
     scene_of_frames,
     tell_unlisted,
 )
-from torchjoint.datasets.scannet_truth import point_instances
+from torchjoint.datasets.truth import point_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
 from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Frame, Scene, Truth
-from torchjoint.scene.checks import as_pose
+from torchjoint.scene import Frame, Scene
 
 WHAT = "scans/mesh_aligned_0.05.ply, dslr/colmap/ with images, or iphone/ with rgb/ (ScanNet++)"
 MESH, SEGMENTS, OBJECTS = "mesh_aligned_0.05.ply", "segments.json", "segments_anno.json"
@@ -51,20 +49,16 @@ IMAGES = ("resized_undistorted_images", "undistorted_images", "resized_images", 
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is a scene's folder, or that of one of its cameras."""
     scene, camera = _places(path)
     return has_folder(path) and (has_file(scene / "scans" / MESH) or _images(scene / camera) is not None)
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the scene; see :func:`torchjoint.load_scene`."""
     folder, camera = _places(path)
     mesh = folder / "scans" / MESH
-    segments, objects = truth_files(path)
-    scene = replace(scene_of_frames(path, _read_frames(folder / camera), options, [mesh]), name=folder.name)
-    if find_cloud(path, options, [mesh]) != mesh or not has_file(objects):
-        return scene
-    return replace(scene, truth=Truth(point_instances(segments, objects, len(scene.points), smallest=True)))
+    instances = partial(point_instances, *truth_files(path), smallest=True)
+    scene = scene_of_frames(path, _read_frames(folder / camera), options, [mesh], instances=instances)
+    return replace(scene, name=folder.name)
 
 
 def truth_files(path: Path) -> tuple[Path, Path]:
@@ -103,15 +97,16 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     if not kept:
         raise FileNotFoundError(f"{images}: expected images that have poses, such as {files[0][0].name}, got none")
     tell_unlisted(str(images), [file for file, _ in kept])
-    one_camera = None
+    camera = None
     if "undistorted" in images.name:
-        one_camera = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
+        camera = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
 
-    def moved(file: Path, shot: ColmapImage) -> Shot:
-        depth = folder / "depth" / f"{file.stem}.png"
-        return Shot(file, one_camera or shot.camera, shot.world_to_camera, file.stem, depth)
-
-    return read_shots([moved(file, shot) for file, shot in kept])
+    return read_shots(
+        [
+            Shot(file, camera or shot.camera, shot.world_to_camera, file.stem, folder / "depth" / f"{file.stem}.png")
+            for file, shot in kept
+        ]
+    )
 
 
 def _read_shots(file: Path) -> list[ColmapImage]:
@@ -119,9 +114,9 @@ def _read_shots(file: Path) -> list[ColmapImage]:
     values, shots = read_record(file, "poses of an iPhone"), []
     for name in sorted(values.values):
         frame = values.record(name)
-        pose = as_pose(frame.matrix("aligned_pose", 4), f"{frame.name}: aligned_pose")
+        pose = world_to_camera(frame.matrix("aligned_pose", 4), f"{frame.name}: aligned_pose")
         camera = Camera(frame.matrix("intrinsic", 3), PHONE_SIZE, name=frame.name)
-        shots.append(ColmapImage(f"{name}.jpg", camera, invert_pose(pose)))
+        shots.append(ColmapImage(f"{name}.jpg", camera, pose))
     if not shots:
         raise ValueError(f"{file}: expected poses of frames, got none")
     return shots

@@ -22,15 +22,13 @@ import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from torch import Tensor
 
-from torchjoint.datasets.cameras import Camera, interpolate_poses, pinhole_matrix
+from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole_matrix
 from torchjoint.datasets.files.readers import read_matrix
-from torchjoint.datasets.files.text import frame_names, parse_numbers, path_inside, read_lines
-from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames, tell_unlisted
+from torchjoint.datasets.files.text import frame_names, parse_numbers, path_inside, read_lines, read_timed_rows
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
@@ -49,18 +47,11 @@ _CALIBRATIONS = {
 _DEFAULT = (525.0, 525.0, 319.5, 239.5, ())
 
 
-class _File(NamedTuple):
-    time: float
-    path: Path
-
-
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder is a recording of this format."""
     return has_folder(path) and has_file(path / "rgb.txt") and has_file(path / "groundtruth.txt")
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the folder; see :func:`torchjoint.load_scene`."""
     return scene_of_frames(path, read_frames(path), options)
 
 
@@ -68,17 +59,19 @@ def read_frames(path: Path) -> Sequence[Frame]:
     """Returns the frames of a recording; each frame is read on access."""
     colors = _read_files(path / "rgb.txt")
     depths = _read_files(path / "depth.txt") if has_file(path / "depth.txt") else []
-    depth_of = dict(associate([file.time for file in colors], [file.time for file in depths]))
-    poses = _read_poses(path / "groundtruth.txt", [file.time for file in colors])
+    times, images = [time for time, _ in colors], [file for _, file in colors]
+    depth_of = dict(associate(times, [time for time, _ in depths]))
+    track = path / "groundtruth.txt"
+    rows = read_timed_rows(track, "timestamp tx ty tz qx qy qz qw", 8)
+    poses = interpolate_poses(rows, np.array(times), TOLERANCE, str(track))
     kept = [(index, pose) for index, pose in enumerate(poses) if pose is not None]
     if not kept:
         raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
-    left, files = len(poses) - len(kept), [file.path for file in colors]
-    tell_unlisted(str(path), files, left, f"have no pose within {TOLERANCE} s,")
+    tell_unlisted(str(path), images, len(poses) - len(kept), f"have no pose within {TOLERANCE} s,")
     camera, shots = _camera(path), []
-    names = frame_names([str(colors[index].path) for index, _ in kept])
+    names = frame_names([str(images[index]) for index, _ in kept])
     for (index, pose), name in zip(kept, names, strict=True):
-        color, depth = colors[index].path, depths[depth_of[index]].path if index in depth_of else None
+        color, depth = images[index], depths[depth_of[index]][1] if index in depth_of else None
         for file in (color, depth or color):
             present(file, "the image that rgb.txt or depth.txt lists")
         shots.append(Shot(color, camera, invert_pose(pose), name, depth, DEPTH_UNIT))
@@ -111,9 +104,9 @@ def associate(first: Sequence[float], second: Sequence[float], tolerance: float 
     return sorted(pairs.items())
 
 
-def _read_files(path: Path) -> list[_File]:
+def _read_files(path: Path) -> list[tuple[float, Path]]:
     """Reads a list of timestamps and paths, sorted by time; of lines with equal times the first is used."""
-    files: dict[float, _File] = {}
+    files: dict[float, Path] = {}
     for name, line in read_lines(path, "lines of a timestamp and a path"):
         words = line.split()
         if not words:
@@ -121,24 +114,8 @@ def _read_files(path: Path) -> list[_File]:
         if len(words) != 2:
             raise ValueError(f"{name}: expected a timestamp and a path, got {line[:100]!r}")
         time = parse_numbers(words[:1], name)[0]
-        files.setdefault(time, _File(time, path_inside(path.parent, words[1], name)))
-    return [files[time] for time in sorted(files)]
-
-
-def _read_poses(path: Path, wanted: Sequence[float]) -> list[Tensor | None]:
-    """Camera-to-world poses [4, 4] at the wanted times; None if no pose is near enough in time."""
-    rows: dict[float, list[float]] = {}
-    for name, line in read_lines(path, "lines of timestamp tx ty tz qx qy qz qw"):
-        values = parse_numbers(line.replace(",", " ").split(), name)
-        if not values:
-            continue
-        if len(values) != 8:
-            raise ValueError(f"{name}: expected timestamp tx ty tz qx qy qz qw, got {len(values)} numbers")
-        rows.setdefault(values[0], values)
-    if not rows:
-        raise ValueError(f"{path}: expected lines of timestamp tx ty tz qx qy qz qw, got none")
-    in_order = np.array([rows[time] for time in sorted(rows)])
-    return interpolate_poses(in_order, np.array(wanted), TOLERANCE, str(path))
+        files.setdefault(time, path_inside(path.parent, words[1], name))
+    return sorted(files.items())
 
 
 def _camera(path: Path) -> Camera:

@@ -20,12 +20,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchjoint.datasets.cameras import checked_pose
 from torchjoint.datasets.recording import Options, scene_of_frames
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.checks import as_intrinsics, as_pose
+from torchjoint.scene.checks import as_intrinsics
 
 logger = logging.getLogger(__name__)
 
@@ -42,12 +43,10 @@ UNSURE = 0.25
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether `path` is the file, or its folder."""
     return has_file(path / FILE) if has_folder(path) else path.name == FILE and has_file(path)
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads the file; see :func:`torchjoint.load_scene`."""
     file = path if path.name == FILE and has_file(path) else path / FILE
     arrays = _read(file)
     depth = arrays["depth"][..., 0].astype(np.float32)
@@ -60,13 +59,12 @@ def load(path: Path, options: Options) -> Scene:
     names = _names(file.parent / "images", len(depth))
 
     def frame(index: int) -> Frame:
-        pose = torch.eye(4, dtype=torch.float64)
-        pose[:3] = torch.from_numpy(arrays["extrinsic"][index].astype(np.float64))
-        pose[:3, 3] *= scale
+        pose = torch.from_numpy(arrays["extrinsic"][index].astype(np.float64))
+        pose[:, 3] *= scale
         return Frame(
             torch.from_numpy(arrays["images"][index].astype(np.float32)),
             as_intrinsics(torch.from_numpy(arrays["intrinsic"][index]), f"{file}: intrinsic {index}"),
-            as_pose(pose, f"{file}: extrinsic {index}"),
+            checked_pose(pose, f"{file}: extrinsic {index}"),
             depth=torch.from_numpy(depth[index] * np.float32(scale)),
             name=names[index],
         )

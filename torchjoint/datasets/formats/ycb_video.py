@@ -11,20 +11,17 @@ The cloud is `cloud.ply`, or fused from depth.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from torchjoint.datasets.cameras import Camera
+from torchjoint.datasets.cameras import Camera, world_to_camera
 from torchjoint.datasets.files.mat_files import read_matrices
-from torchjoint.datasets.files.readers import read_label_image
-from torchjoint.datasets.recording import Options, Shot, invert_pose, read_shots, scene_of_frames
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames
+from torchjoint.datasets.truth import label_images
 from torchjoint.runtime.foreign_files import has_file, has_folder
-from torchjoint.runtime.threads import LazySequence
-from torchjoint.scene import Scene, Truth
-from torchjoint.scene.checks import as_pose
+from torchjoint.scene import Scene
 
 WHAT = "NNNNNN-color.jpg (or .png) with NNNNNN-meta.mat (YCB-Video)"
 #: Matrices with more elements, such as vertmap, are not read: they are not needed.
@@ -32,20 +29,13 @@ MAX_ELEMENTS = 4_000_000
 
 
 def recognizes(path: Path) -> bool:
-    """Returns whether the folder is a sequence."""
     return has_folder(path) and any(has_file(_beside(file, "meta.mat")) for file in _colors(path))
 
 
 def load(path: Path, options: Options) -> Scene:
-    """Loads a sequence; see :func:`torchjoint.load_scene`."""
     colors = _colors(path)
-    labels = [_beside(file, "label.png") for file in colors]
-    missing = [file for file in labels if not has_file(file)]
-    if missing and len(missing) < len(labels):
-        raise FileNotFoundError(f"{missing[0]}: missing; {len(labels) - len(missing)} other frames have their labels")
-    images = () if missing else LazySequence(len(labels), lambda i: read_label_image(labels[i]) - 1)
-    scene = scene_of_frames(path, read_shots([_shot(file) for file in colors]), options)
-    return replace(scene, truth=Truth(None, images) if images else None)
+    images = label_images([_beside(file, "label.png") for file in colors], "labels")
+    return scene_of_frames(path, read_shots([_shot(file) for file in colors]), options, images=images)
 
 
 def _shot(file: Path) -> Shot:
@@ -59,11 +49,9 @@ def _shot(file: Path) -> Shot:
     intrinsics, moved, factor = (torch.from_numpy(matrices[name].astype(np.float64)) for name in shapes)
     if not (torch.isfinite(factor).all() and float(factor) > 0):
         raise ValueError(f"{path}: factor_depth: expected a number above 0, got {float(factor)}")
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3] = moved
-    pose = as_pose(pose, f"{path}: rotation_translation_matrix")
+    pose = world_to_camera(moved, f"{path}: rotation_translation_matrix")
     camera = Camera(intrinsics, name=f"{path}: intrinsic_matrix")
-    return Shot(file, camera, invert_pose(pose), _name(file), _beside(file, "depth.png"), 1 / float(factor))
+    return Shot(file, camera, pose, _name(file), _beside(file, "depth.png"), 1 / float(factor))
 
 
 def _colors(path: Path) -> list[Path]:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from torchjoint.results.boxes import (
+    Box,
     boxes_of,
     datumaro_record,
     labelcloud_record,
@@ -82,8 +83,7 @@ def _rows(result: Result) -> Iterator[tuple[int | str | float | None, ...]]:
 @on_cpu()
 def export_openpcdet(path: Path, result: Result) -> None:
     """Writes a label file of OpenPCDet's custom data sets: a line ``x y z dx dy dz heading name`` for each segment."""
-    _warn_if_tilted(result)
-    write_text(path, openpcdet_lines(boxes_of(result).values()))
+    write_text(path, openpcdet_lines(_upright_boxes(result).values()))
 
 
 @on_cpu()
@@ -92,23 +92,20 @@ def export_labelcloud(path: Path, result: Result, cloud: Path | None = None) -> 
 
     `cloud` is where labelCloud finds it; default: beside `path`, with the same name.
     """
-    _warn_if_tilted(result)
-    record = labelcloud_record(boxes_of(result).values(), path.with_suffix(".ply") if cloud is None else cloud)
+    record = labelcloud_record(_upright_boxes(result).values(), path.with_suffix(".ply") if cloud is None else cloud)
     write_text(path, json.dumps(record, indent=1, ensure_ascii=False))
 
 
 @on_cpu()
 def export_cuboids(path: Path, result: Result) -> None:
     """Writes the boxes as a label of cuboids of Segments.ai; its cloud is ``points.ply`` of the result."""
-    _warn_if_tilted(result)
-    write_text(path, json.dumps(segmentsai_label(boxes_of(result)), indent=1, ensure_ascii=False))
+    write_text(path, json.dumps(segmentsai_label(_upright_boxes(result)), indent=1, ensure_ascii=False))
 
 
 @on_cpu()
 def export_cvat(path: Path, result: Result) -> None:
     """Writes the boxes as CVAT reads them (format Datumaro 3D); its cloud is ``points.ply`` of the result, as .pcd."""
-    _warn_if_tilted(result)
-    write_text(path, json.dumps(datumaro_record(boxes_of(result).values()), ensure_ascii=False))
+    write_text(path, json.dumps(datumaro_record(_upright_boxes(result).values()), ensure_ascii=False))
 
 
 @on_cpu()
@@ -123,11 +120,13 @@ def export_point_labels(path: Path, result: Result) -> None:
     write_text(path, json.dumps(label, ensure_ascii=False))
 
 
-def _warn_if_tilted(result: Result) -> None:
+def _upright_boxes(result: Result) -> dict[int, Box]:
+    """The boxes of the segments; a warning tells if they lean."""
     up = float(up_direction(result.scene)[2])
     angle = math.degrees(math.acos(max(-1.0, min(1.0, up))))
     if angle > LEVEL:
         warnings.warn(
             f"boxes stand along z, but up in this scene is {angle:.0f} degrees away from it; turn the cloud first",
-            stacklevel=3,
+            stacklevel=4,
         )
+    return boxes_of(result)

@@ -5,7 +5,7 @@ import zipfile
 
 import pytest
 
-from torchjoint.datasets.files.members import Members
+from torchjoint.datasets.files.binary import Members
 
 CONTENT = {"a": b"stored", "b/c": bytes(1000), "b/d": b""}
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from torchjoint.datasets.boxes import instances_in_boxes
+from torchjoint.datasets.truth import instances_in_boxes
 
 EYE = torch.eye(3, dtype=torch.float64)
 QUARTER = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64)  # about z: the length along y

@@ -10,8 +10,8 @@ import torch
 from folder_files import write_folder
 
 import torchjoint as tj
-from torchjoint.datasets.depth_agreement import _residual, warn_of_poses
 from torchjoint.datasets.formats.folder import read_frames
+from torchjoint.datasets.fusion import _residual, warn_of_poses
 
 TURN = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
 READ = {
