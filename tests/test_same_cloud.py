@@ -234,8 +234,8 @@ class TestOrigin:
         offset = torch.tensor([500_000.0, 5_400_000.0, 0.0], dtype=torch.float64)
         there = moved(scene, offset)
         assert torch.equal(
-            tj.views.projection.in_any_view(scene.points, scene.frames),
-            tj.views.projection.in_any_view(there.points, there.frames),
+            tj.views.visibility.in_any_view(scene.points, scene.frames),
+            tj.views.visibility.in_any_view(there.points, there.frames),
         )
 
     def test_clouds_at_different_places_are_not_merged(self, scene):

@@ -17,7 +17,7 @@ from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_depth, read_image
 from torchjoint.datasets.fusion import fuse_or_recall
-from torchjoint.runtime.foreign_files import has_file
+from torchjoint.runtime.foreign_files import has_file, no_twice
 from torchjoint.runtime.outputs import Output
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
@@ -129,13 +129,9 @@ def tell_unlisted(name: str, files: Sequence[Path], left: int = 0, why: str = ""
 
 def sorted_images(folder: Path, files: Iterable[Path]) -> list[Path]:
     """Images of a folder, sorted by the number at the end of their names, 2 before 10; each frame has one."""
-    by_stem: dict[str, Path] = {}
-    for file in files:
-        stem = file.stem.removesuffix(".color")
-        if stem in by_stem:
-            raise ValueError(f"{folder}: frame {stem!r} has two colour images")
-        by_stem[stem] = file
-    return [by_stem[stem] for stem in sorted(by_stem, key=_number_and_name)]
+    stems = [(file.stem.removesuffix(".color"), file) for file in files]
+    no_twice((stem for stem, _ in stems), f"{folder}: the colour image of frame")
+    return [file for _, file in sorted(stems, key=lambda one: _number_and_name(one[0]))]
 
 
 def _number_and_name(stem: str) -> tuple[int, str]:

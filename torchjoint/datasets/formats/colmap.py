@@ -29,7 +29,7 @@ from torchjoint.datasets.cameras import Camera, pinhole_matrix, poses_from_quate
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.text import frame_names, parse_integer, parse_numbers, path_inside, read_lines
 from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
-from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, present
+from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, no_twice, present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
