@@ -11,18 +11,21 @@ from torchjoint.recordings import segment_recording
 from torchjoint.results.exports.clouds import export_npz
 
 
-@pytest.fixture(params=["float64", "bfloat16", "meta", "autocast"])
+@pytest.fixture(params=["float64", "bfloat16", "meta", "autocast", "medium"])
 def other_default(request):
     if request.param == "autocast":
         with torch.autocast("cpu", dtype=torch.bfloat16):
             yield
         return
     dtype = torch.get_default_dtype()
-    if request.param == "meta":
+    if request.param == "medium":
+        torch.set_float32_matmul_precision("medium")
+    elif request.param == "meta":
         torch.set_default_device("meta")
     else:
         torch.set_default_dtype(getattr(torch, request.param))
     yield
+    torch.set_float32_matmul_precision("highest")
     torch.set_default_device(None)
     torch.set_default_dtype(dtype)
 

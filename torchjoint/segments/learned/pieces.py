@@ -17,6 +17,7 @@ from torchjoint.cloud.edge_weights import EDGES, map_edges
 from torchjoint.cloud.graph import PointGraph, orient_normals
 from torchjoint.cloud.normals import angle_between, is_convex
 from torchjoint.cloud.scales import Scales
+from torchjoint.images.boundary import to_lab
 from torchjoint.images.segmenter import brightened
 from torchjoint.runtime.memory import give_back
 from torchjoint.segments.learned.boundaries import Boundaries
@@ -81,7 +82,7 @@ def measure_colors(graph: PointGraph, observations: Observations) -> Colors:
         colors = without_dropouts(graph.colors, graph.edge_index)
     if colors is None:
         return Colors()
-    lab = _to_lab(brightened(colors))
+    lab = to_lab(brightened(colors).T.contiguous()).T
     step = _color_steps(lab, graph.edge_index)
     known = step[step.isfinite()]
     return Colors(lab, step, float(known.median()) if len(known) else 0.0)
@@ -184,14 +185,6 @@ def _geometry(
 
     blocks = [measured(ends) for ends in edge_index.split(EDGES, 1)]  # less memory than all edges at once
     return {name: torch.cat([block.pop(name) for block in blocks]) for name in [*blocks[0]]}
-
-
-def _to_lab(colors: Tensor) -> Tensor:
-    """Colours [N, 3] RGB in [0, 1] -> [N, 3] Lab."""
-    import kornia
-
-    lab: Tensor = kornia.color.rgb_to_lab(colors.T[None, :, :, None].contiguous())
-    return lab[0, :, :, 0].T
 
 
 def _color_steps(lab: Tensor, edge_index: Tensor) -> Tensor:
