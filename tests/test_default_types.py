@@ -11,18 +11,21 @@ from torchjoint.recordings import segment_recording
 from torchjoint.results.exports.clouds import export_npz
 
 
-@pytest.fixture(params=["float64", "meta", "autocast"])
+@pytest.fixture(params=["float64", "bfloat16", "meta", "autocast", "medium"])
 def other_default(request):
     if request.param == "autocast":
         with torch.autocast("cpu", dtype=torch.bfloat16):
             yield
         return
     dtype = torch.get_default_dtype()
-    if request.param == "meta":
+    if request.param == "medium":
+        torch.set_float32_matmul_precision("medium")
+    elif request.param == "meta":
         torch.set_default_device("meta")
     else:
         torch.set_default_dtype(getattr(torch, request.param))
     yield
+    torch.set_float32_matmul_precision("highest")
     torch.set_default_device(None)
     torch.set_default_dtype(dtype)
 
@@ -73,6 +76,8 @@ CALLS = {
     "achievable accuracy": lambda: tj.metrics.achievable_segmentation_accuracy(LABELS, LABELS // 2),
     "masks of labels": lambda: tj.masks.from_labels(LABELS.view(20, 30)).labels(),
     "nested masks": lambda: tj.masks.from_stack(STACK).resized((37, 56)).labels(),
+    "a score of COCO": lambda: tj.masks.from_coco([IN_MASKS | {"score": 0.7123}], (2, 3)).scores,
+    "a score of SAM": lambda: tj.masks.from_sam([IN_MASKS | {"predicted_iou": 0.7123}]).scores,
     "masks of COCO": lambda: tj.masks.from_coco([IN_MASKS], (2, 3)).stack(),
     "a cloud alone": lambda: tj.JointSegmenter()(tj.Scene(CLOUD)).points.tolist(),
     "labels of the nearest": lambda: tj.transforms.transfer_labels(LABELS[:9], POINTS, POINTS + 0.1),

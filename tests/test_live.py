@@ -74,6 +74,18 @@ def test_a_thing_keeps_its_id_while_the_cloud_grows(frames):
         assert (after.labels[nearest[before.labels == number]] == number).float().mean() > 0.5
 
 
+def test_a_tracker_may_write_each_frame_into_the_same_tensors(frames):
+    segmenter = tj.LiveSegmenter(voxel_size=VOXEL)
+    depth, intrinsics, pose = frames[0].depth.clone(), frames[0].intrinsics.clone(), torch.eye(4, dtype=torch.float64)
+    for frame in frames:
+        depth.copy_(frame.depth), pose.copy_(frame.world_to_camera)
+        segmenter.update(tj.Frame(frame.image, intrinsics, pose, depth, name=frame.name))
+    depth.zero_(), intrinsics.zero_(), pose.zero_()
+    expected = played(frames)
+    assert segmenter.names == expected.names
+    assert torch.equal(segmenter.result().labels, expected.result().labels)
+
+
 def test_only_frames_from_elsewhere_are_keyframes(frames):
     assert len(played([frames[0]] * 5).names) == 1
     assert len(played([frames[0]] * 5, step=0).names) == 5

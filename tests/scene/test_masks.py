@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 
+import numpy as np
 import pytest
 import torch
 from effort import few_and_many
@@ -58,6 +59,12 @@ def test_a_frame_scales_masks_of_another_size() -> None:
         frame(masks=torch.zeros(4, 6, dtype=torch.int64))
     with pytest.warns(UserWarning, match="other aspect ratio"):
         frame(masks=torch.ones(1, 6, 4, dtype=torch.bool))
+
+
+@pytest.mark.parametrize("kind", [np.uint16, np.uint32, np.uint64])
+def test_a_label_map_of_unsigned_integers(kind: type) -> None:
+    labels = np.arange(24).reshape(4, 6) % 5 + 1
+    assert torch.equal(frame(masks=labels.astype(kind)).masks.labels(), torch.from_numpy(labels) - 1)
 
 
 def test_one_mask_and_scores() -> None:

@@ -100,7 +100,7 @@ class ImageSegmenter(nn.Module):
         with stopwatch("image segments"):
             given = self._given(frames)
         detected = [frame for frame, segments in zip(frames, given, strict=True) if not isinstance(segments, Masks)]
-        boundaries = self.detect(detected, stopwatch) if detected else torch.empty(0)
+        boundaries = self.detect(detected, stopwatch) if detected else torch.empty(0, dtype=torch.float32)
         with stopwatch("image segments"):
             return self._segment(frames, given, boundaries)
 

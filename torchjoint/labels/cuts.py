@@ -82,7 +82,7 @@ def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, confi
     keys, of_key = torch.unique(pairs.low_segment * num_labels + pairs.high_segment, return_inverse=True)
     internal = pairs.num_pairs * (pairs.low_label == pairs.high_label)
     n_all, n_internal = (torch.zeros_like(keys).index_add(0, of_key, counts) for counts in (pairs.num_pairs, internal))
-    merging = keys[n_internal / n_all >= config.merge_ratio]
+    merging = keys[n_internal.float() / n_all >= config.merge_ratio]
     component = ops.connected_components(torch.stack([merging // num_labels, merging % num_labels]), num_labels)
     lowest = torch.full((num_labels,), num_labels).scatter_reduce(0, component, torch.arange(num_labels), "amin")
     return look_up(lowest[component].to(labels.dtype), labels, -1)

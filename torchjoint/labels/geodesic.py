@@ -176,7 +176,7 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) 
     area = torch.bincount(segment, minlength=num_initial + 1)[1:]
     num_hit = torch.bincount(segment[hit.view(-1)], minlength=num_initial + 1)[1:]
     num_points = int(hit.sum())  # points in the same pixel count as one
-    expected = area * (num_points / hit.numel())
+    expected = area.float() * (num_points / hit.numel())
     unseen = (num_hit == 0) & ((expected >= UNSEEN) | (num_points == 0))
     sparse = (num_hit > 0) & (expected >= UNSEEN) & (num_hit <= SPARSE * expected)
     own_place = torch.ones_like(hit)

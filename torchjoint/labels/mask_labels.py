@@ -148,10 +148,10 @@ def _winners(part: Tensor, label: Tensor, num_parts: int, shown: _Shown) -> _Win
     winner.scatter_reduce_(0, of_part[is_most], (key % num_labels)[is_most], "amin")
     winner = torch.where(num_points > 0, winner, -1)
 
-    is_one = most >= ONE_OBJECT * num_points
+    is_one = most >= ONE_OBJECT * num_points.float()
     all_points, in_one_mask = (torch.cat([values, values.new_ones(1)])[winner] for values in shown)
-    is_small = most < torch.where(is_one, LEAST_PART, LEAST_PART_OF_SEVERAL) * all_points
-    foreign = (num_points > 0) & is_small & (in_one_mask >= WHOLE * (all_points - most))
+    is_small = most < torch.where(is_one, LEAST_PART * all_points.float(), LEAST_PART_OF_SEVERAL * all_points.float())
+    foreign = (num_points > 0) & is_small & (in_one_mask >= WHOLE * (all_points - most).float())
     decides = (num_points >= MIN_POINTS) & is_one & ~foreign
     chosen = winner.clamp(min=0)
     strongest = torch.zeros(num_labels, dtype=torch.int64).scatter_reduce_(0, chosen, most * decides, "amax")

@@ -33,7 +33,7 @@ def from_coco(
     >>> from_coco([{"segmentation": [[1, 0, 3, 0, 3, 2, 1, 2]]}], (2, 4))
     Masks(1 masks, 2 x 4 pixels, 50% covered)
     """
-    scores = torch.tensor([_score(annotation, f"annotations[{index}]") for index, annotation in enumerate(annotations)])
+    scores = torch.tensor([_score(one, f"annotations[{i}]") for i, one in enumerate(annotations)], dtype=torch.float32)
     check_declared((annotation["segmentation"] for annotation in annotations), size, "annotations")
     masks = (
         pixels_of(annotation["segmentation"], size, f"annotations[{index}]'s segmentation")

@@ -123,7 +123,7 @@ def _read_pngs(path: Path) -> Masks:
     if not files:
         raise ValueError(f"{path}: expected PNGs, one for each mask, got none")
     stems = [file.stem for file in files]
-    scores = torch.tensor(_scores(path / METADATA, stems) or [1.0] * len(files))
+    scores = torch.tensor(_scores(path / METADATA, stems) or [1.0] * len(files), dtype=torch.float32)
     return replace(merged(map(_read_png, files), len(files), None, scores, path.name), names=tuple(stems))
 
 

@@ -35,7 +35,7 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
     if isinstance(records, (Mapping, str)) or not isinstance(records, Sequence):
         raise TypeError(f"records: expected a list of dicts, got {type(records).__name__}")
     names = [f"records[{index}]" for index in range(len(records))]
-    scores = torch.tensor([_score(record, name) for record, name in zip(records, names, strict=True)])
+    scores = torch.tensor([_score(*one) for one in zip(records, names, strict=True)], dtype=torch.float32)
     check_declared((record["segmentation"] for record in records), size, "records")
     masks = (_pixels(record, size, name) for record, name in zip(records, names, strict=True))
     return merged(masks, len(records), size, scores, "records")
@@ -98,7 +98,7 @@ def from_panoptic(segmentation: Any, segments_info: Sequence[Mapping[str, Any]])
     if len(set(ids)) < len(ids):
         raise ValueError(f"segments_info: expected each id once, got {sorted(ids)}")
     stack = torch.stack(masks) if masks else torch.zeros(0, *labels.shape, dtype=torch.bool)
-    return replace(Masks.from_stack(stack, torch.tensor(scores), "segmentation"), ids=tuple(ids))
+    return replace(Masks.from_stack(stack, torch.tensor(scores, dtype=torch.float32), "segmentation"), ids=tuple(ids))
 
 
 @on_cpu()

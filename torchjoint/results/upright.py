@@ -46,7 +46,7 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     if not len(scene.frames):
         return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), NEAR
     count = min(32, len(scene.frames))
-    chosen = torch.linspace(0, len(scene.frames) - 1, count).long().tolist()
+    chosen = torch.linspace(0, len(scene.frames) - 1, count, dtype=torch.float32).long().tolist()
     rotations = torch.stack([scene.frames[i].world_to_camera[:3, :3] for i in chosen])
     sideways, mean = rotations[:, 0], -rotations[:, 1].mean(0)
     spread = sideways.T @ sideways / count

@@ -91,7 +91,7 @@ def is_double(value: Tensor) -> bool:
 
 def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
     """Checks a rigid transform [4, 4]; returns it as float64."""
-    pose = as_float(pose, name, torch.float64)
+    pose = as_float(pose, name, torch.float64).clone()  # callers may write the next one into theirs
     check_shape(pose, (4, 4), name)
     rotation = pose[:3, :3]
     error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64, device="cpu")).abs().max().item()
@@ -172,7 +172,7 @@ def as_direction(value: Tensor, name: str) -> Tensor:
 
 def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
     """Checks a camera matrix [3, 3], in pixels; returns it as float64."""
-    intrinsics = as_float(intrinsics, name, torch.float64)
+    intrinsics = as_float(intrinsics, name, torch.float64).clone()
     check_shape(intrinsics, (3, 3), name)
     zeros = intrinsics[[1, 2, 2], [0, 0, 1]]
     if (

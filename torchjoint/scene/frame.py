@@ -97,11 +97,11 @@ class Frame:
         set_("intrinsics", as_intrinsics(self.intrinsics, self._called("intrinsics")))
         set_("world_to_camera", as_pose(self.world_to_camera, self._called("world_to_camera")))
         if self.depth is not None:
-            depth = as_float(self.depth, self._called("depth"), torch.float32)
+            depth = as_float(self.depth, self._called("depth"), torch.float32).clone()
             check_shape(depth, self.size, self._called("depth"))
             set_("depth", depth)
         if self.labels is not None:
-            set_("labels", as_labels(self.labels, self.size, self._called("labels")))
+            set_("labels", as_labels(self.labels, self.size, self._called("labels")).clone())
         if self.masks is None and self.mask_scores is not None:
             raise ValueError(f"{self._called('mask_scores')}: expected none, because there are no masks")
         if self.masks is not None:

@@ -270,7 +270,8 @@ def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None
         return Masks.from_stack(stack, scores, name).resized(size)
     if masks.ndim == 3:
         raise TypeError(f"{name}: expected dtype bool for a stack [M, H, W], got {masks.dtype}; use `stack > 0.5`?")
-    if masks.numel() and not masks.dtype.is_floating_point and int(masks.min()) == 0:
+    masks = as_labels(masks, tuple(masks.shape), name)
+    if masks.numel() and int(masks.min()) == 0:
         warnings.warn(
             f"{name}: 0 counts as a mask, and no pixel is -1 (none); if 0 means none, use "
             "torchjoint.masks.from_labels(labels, none=0)",

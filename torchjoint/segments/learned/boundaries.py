@@ -59,7 +59,7 @@ class Boundaries(NamedTuple):
             if name in values:
                 known, value = values[name].isfinite(), values.pop(name).nan_to_num(0, 0, 0)
                 key = pair * BINS + _bins(value, name)
-                sums = binned[name] = torch.empty(num_pairs, 2, BINS)
+                sums = binned[name] = torch.empty(num_pairs, 2, BINS, dtype=torch.float32)
                 for number, of_edge in enumerate((known, value)):
                     sums[:, number] = torch.bincount(key, of_edge, num_pairs * BINS).view(num_pairs, BINS)
         return cls(torch.bincount(pair, minlength=num_pairs), averaged, binned)
@@ -97,7 +97,7 @@ class Boundaries(NamedTuple):
         for name, sums in self.binned.items():
             binned, total = sums.unbind(1)
             up_to = binned.cumsum(1)
-            place = ((up_to[:, -1:] - 1) * torch.tensor(shares)).round()
+            place = ((up_to[:, -1:] - 1) * up_to.new_tensor(shares)).round()
             bin_ = torch.searchsorted(up_to, place, right=True).clamp_(max=BINS - 1)
             found[name] = total.gather(1, bin_) / binned.gather(1, bin_)
         return found

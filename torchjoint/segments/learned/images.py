@@ -36,7 +36,7 @@ def image_colors(num_points: int, observations: Observations) -> Tensor | None:
         for point, color in parallel_map(_seen_colors, observations[start : start + BLOCK]):
             total.index_add_(0, point, color)
             views += torch.bincount(point, minlength=num_points)
-    return (total / (255 * views)[:, None]).float() if views.any() else None
+    return total.float() / (255 * views)[:, None] if views.any() else None
 
 
 def _seen_colors(seen: Observation) -> tuple[Tensor, Tensor]:
