@@ -11,7 +11,7 @@ from torchjoint.recordings import segment_recording
 from torchjoint.results.exports.clouds import export_npz
 
 
-@pytest.fixture(params=["float64", "bfloat16", "meta", "autocast", "medium"])
+@pytest.fixture(params=["float64", "bfloat16", "meta", "autocast", "medium", "products"])
 def other_default(request):
     if request.param == "autocast":
         with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -20,6 +20,8 @@ def other_default(request):
     dtype = torch.get_default_dtype()
     if request.param == "medium":
         torch.set_float32_matmul_precision("medium")
+    elif request.param == "products":
+        torch.backends.mkldnn.matmul.fp32_precision = "bf16"
     elif request.param == "meta":
         torch.set_default_device("meta")
     else:

@@ -11,7 +11,6 @@ from torchjoint.runtime.threads import (
     LazySequence,
     all_threads,
     num_threads,
-    on_cpu,
     one_thread_per_operation,
     parallel_map,
 )
@@ -211,23 +210,3 @@ def test_an_item_that_cannot_be_read_ends_no_loop() -> None:
     assert list(LazySequence(2, lambda index: index)) == [0, 1]
     with pytest.raises(IndexError):
         items[4]
-
-
-def test_products_are_exact_as_long_as_anybody_is_inside():
-    torch.set_float32_matmul_precision("medium")
-    try:
-        first, second = on_cpu(), on_cpu()
-        first.__enter__()
-        second.__enter__()
-        assert torch.get_float32_matmul_precision() == "highest"
-        first.__exit__(None, None, None)
-        assert torch.get_float32_matmul_precision() == "highest"
-        second.__exit__(None, None, None)
-        assert torch.get_float32_matmul_precision() == "medium"
-        with on_cpu(), one_thread_per_operation():
-            assert torch.get_float32_matmul_precision() == "highest"
-        assert torch.get_float32_matmul_precision() == "medium"
-    finally:
-        torch.set_float32_matmul_precision("highest")
-    with on_cpu():
-        assert torch.get_float32_matmul_precision() == "highest"

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
+from threading import Lock
+from typing import Any
 
 import kornia
 import torch
@@ -18,6 +23,38 @@ GRADIENT_SMOOTHING = 1.0
 
 #: Gradient at which the boundary is 1 - 1/e, Lab units per pixel. Clear edges exceed it; shading is far below it.
 CONTRAST = 8.0
+
+
+def to_lab(colors: Tensor) -> Tensor:
+    """RGB in [0, 1] -> CIE Lab, [..., 3, H, W] each."""
+    with _exact_products():
+        lab: Tensor = kornia.color.rgb_to_lab(colors)
+        return lab
+
+
+_SETTING = Lock()
+
+
+@contextmanager
+def _exact_products() -> Iterator[None]:
+    """Torch may be set to round matrix products to bfloat16, by one function for all devices or for the CPU; not here.
+
+    The setting is that of all threads.
+    """
+    put: Callable[[str], None]
+    with _SETTING:
+        try:
+            before, put, exact = torch.get_float32_matmul_precision(), torch.set_float32_matmul_precision, "highest"
+        except RuntimeError:  # it was not set by the function
+            of_cpu: Any = torch.backends.mkldnn.matmul  # type: ignore[attr-defined]
+            before, put, exact = of_cpu.fp32_precision, partial(setattr, of_cpu, "fp32_precision"), "ieee"
+        if before != exact:
+            put(exact)
+        try:
+            yield
+        finally:
+            if before != exact:
+                put(before)
 
 
 class GradientBoundary(nn.Module):
@@ -51,7 +88,7 @@ class GradientBoundary(nn.Module):
         return torch.stack(parallel_map(self._single, images))
 
     def _single(self, image: Tensor) -> Tensor:
-        lab = smooth(kornia.color.rgb_to_lab(image[None].contiguous()), self.smoothing)
+        lab = smooth(to_lab(image[None].contiguous()), self.smoothing)
         magnitude = _gradient(lab[0]).square_().sum(dim=(0, 1)).sqrt_()
         return 1 - torch.exp(-magnitude / self.contrast)
 

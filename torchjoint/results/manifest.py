@@ -141,7 +141,7 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
     (folder / PIECES).mkdir()
 
     def write(index: int) -> None:
-        stored = (piece_images[index] + 1).numpy().astype(">u4")
+        stored = (piece_images[index] + 1).numpy().astype(">u4", order="C")
         channels = stored.view(np.uint8).reshape(*stored.shape, 4)[..., 1:]
         Image.fromarray(channels).save(folder / PIECES / f"{names[index]}.png", **PNG)
 

@@ -105,7 +105,7 @@ def read_text(path: Path, expected: str, most: int = bounds.TEXT_BYTES, *, error
     data = read_file(path, expected, most)
     with damage_is(f"{path}: expected {expected} as text"):
         text = data.decode("utf-8-sig", errors)
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return text.replace("\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_json(path: Path, expected: str) -> Any:
@@ -181,6 +181,10 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
     """Rows as text. A text that a spreadsheet would compute gets apostrophes: names come from others."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(
-        [_FORMULA.sub("'", cell).replace("\r", "\n") if isinstance(cell, str) else cell for cell in row] for row in rows
+        [
+            _FORMULA.sub("'", cell).replace("\r\n", "\n").replace("\r", "\n") if isinstance(cell, str) else cell
+            for cell in row
+        ]
+        for row in rows
     )  # csv puts no quotes around a lone "\r", which ends a row
     return text.getvalue()

@@ -48,11 +48,10 @@ def one_thread_per_operation() -> Iterator[None]:
 def on_cpu() -> Iterator[None]:
     """Inside the block, or a function that it decorates, new tensors are on the CPU, whatever the default device.
 
-    Nor are they tensors of an inference mode around it, which nobody could change after it; and neither an autocast
-    around it nor `torch.set_float32_matmul_precision` rounds anything.
+    Nor are they tensors of an inference mode around it, which nobody could change after it; and an autocast around it
+    rounds nothing.
     """
     with ExitStack() as stack:
-        stack.enter_context(_EXACT_PRODUCTS())
         if torch.is_autocast_enabled("cpu"):
             stack.enter_context(torch.autocast("cpu", enabled=False))
         if torch.is_inference_mode_enabled():
@@ -186,34 +185,6 @@ class _GlobalLimit:
 
 
 _GLOBAL_LIMIT = _GlobalLimit()
-
-
-class _ExactProducts:
-    """Torch's precision of matrix products, "highest" as long as any caller is inside; it is of all threads."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._inside = 0
-        self._before = "highest"
-
-    @contextmanager
-    def __call__(self) -> Iterator[None]:
-        with self._lock:
-            if self._inside == 0 and (before := torch.get_float32_matmul_precision()) != "highest":
-                self._before = before
-                torch.set_float32_matmul_precision("highest")
-            self._inside += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._inside -= 1
-                if self._inside == 0 and self._before != "highest":
-                    torch.set_float32_matmul_precision(self._before)
-                    self._before = "highest"
-
-
-_EXACT_PRODUCTS = _ExactProducts()
 
 
 def ahead(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:

@@ -114,10 +114,10 @@ class Viewer:
             if shown is not None:
                 self._shown, self._saved = shown, shown.edits(result)
             chosen = self.model.measures.hues[[*self.model.selected]]
-            model = Model(result, self._shown.edits(result), self.model.up)
+            model = Model(result, self._saved if shown else self._shown.edits(result), self.model.up)
             if hues is not None:
-                model.measures.hues = np.append(hues, model.parts.keys + hues.max() + 1)[model.parts.keys]
-            model.mode, model.shading = self.model.mode, shading
+                model.measures.hues = np.append(hues, model.parts.keys + hues.max(initial=-1) + 1)[model.parts.keys]
+            model.mode, model.pale, model.shading = self.model.mode, self.model.pale, shading
             model.select(tuple(np.unique(model.table[np.isin(model.measures.hues[model.table], chosen)]).tolist()))
             self.model = model
             self._cloud.remove()
@@ -450,7 +450,7 @@ class Viewer:
 
         def work() -> None:
             if model.shading is None and not self._has_stopped:
-                self._guarded(self._shade, Shading(model.result.scene.points, model.up))
+                self._guarded(self._shade, model, Shading(model.result.scene.points, model.up))
             if not is_running and not self._has_stopped:  # labelling all frames is most of a run's work
                 model.measures.read_frames(lambda: self._has_stopped)
                 self._guarded(self._draw_lists)
@@ -459,9 +459,10 @@ class Viewer:
         self._workers.append(threading.Thread(target=work, daemon=True))
         self._workers[-1].start()
 
-    def _shade(self, shading: Shading) -> None:
-        self.model.shading = shading
-        self._cloud.recolor(point_colors(self.model))
+    def _shade(self, model: Model, shading: Shading) -> None:
+        if len(model.parts.of_point) == len(self.model.parts.of_point):  # else another cloud is shown by now
+            self.model.shading = shading
+            self._cloud.recolor(point_colors(self.model))
 
 
 def _at_end(method: weakref.WeakMethod[Callable[[], None]]) -> None:

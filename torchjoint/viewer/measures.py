@@ -138,7 +138,7 @@ def kept_numbers(segment: Table, before: Table, number: Table) -> Table:
     Args:
         segment: [N] of each point, 0 ... P - 1.
         before: [N] the earlier number of each point, >= 0.
-        number: [P] of what is no segment of a point.
+        number: [P] numbers of those that have no point.
 
     Example:
         >>> kept_numbers(np.array([0, 0, 1, 1, 2]), np.array([5, 5, 5, 3, 3]), np.zeros(3, int)).tolist()

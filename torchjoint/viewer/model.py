@@ -89,7 +89,7 @@ class Model:
         self.measures.of_table(self.table)
 
     def of_result(self, result: Result, edits: Edits | None = None) -> Model:
-        """The same view of another result of the scene; selection and colours are kept as far as segments are the same.
+        """The same view of another result of the scene; selection and colours are kept as far as segments match.
 
         Args:
             result: the other result.

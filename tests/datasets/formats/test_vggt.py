@@ -77,11 +77,11 @@ def test_the_example_writes_it_from_the_scenes_of_other_networks(tmp_path, netwo
     else:
         scene.get_dense_pts3d = lambda: (None, [one.flatten() for one in depth], sure)
     file.unlink()
-    example = Path(__file__).parents[3] / "examples" / "dust3r.py"
+    example = Path(__file__).parents[3] / "examples" / "save_dust3r.py"
     spec = importlib.util.spec_from_file_location("example", example)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    module.save(scene, file)
+    module.save(scene, path)
     found = tj.load_scene(path)
     torch.testing.assert_close(found.points, expected.points, atol=1e-5, rtol=0)
     for one, other in zip(found.frames, expected.frames, strict=True):

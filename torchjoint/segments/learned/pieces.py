@@ -16,6 +16,7 @@ from torchjoint.cloud.edge_weights import EDGES, map_edges
 from torchjoint.cloud.graph import PointGraph, orient_normals
 from torchjoint.cloud.normals import angle_between, dot, is_convex, length, rows_of
 from torchjoint.cloud.scales import Scales
+from torchjoint.images.boundary import to_lab
 from torchjoint.images.segmenter import brightened
 from torchjoint.runtime.memory import give_back
 from torchjoint.segments.learned.boundaries import Boundaries
@@ -187,10 +188,7 @@ def _geometry(
 
 def _to_lab(colors: Tensor) -> Tensor:
     """Colours [N, 3] RGB in [0, 1] -> [N, 3] Lab."""
-    import kornia
-
-    lab: Tensor = kornia.color.rgb_to_lab(colors.T[None, :, :, None].contiguous())
-    return lab[0, :, :, 0].T
+    return to_lab(colors.T[None, :, :, None].contiguous())[0, :, :, 0].T
 
 
 def _color_steps(lab: Tensor, edge_index: Tensor) -> Tensor:

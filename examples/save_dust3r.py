@@ -1,9 +1,9 @@
-"""Hands what DUSt3R or MASt3R makes of images to torchjoint, which then segments its points and images together.
+"""Saves what DUSt3R and MASt3R make of images as torchjoint reads it: it segments the points and the images together.
 
-In their program, behind the global alignment:
+Beside their program, behind the global alignment:
 
-    from dust3r import save                       # this file
-    save(scene, "room/predictions.npz")           # what global_aligner or sparse_global_alignment returned
+    from save_dust3r import save
+    save(scene, "room")                           # what global_aligner or sparse_global_alignment returned
 
 and then `torchjoint segment room`, or `tj.load_scene("room")`. The images must have one size. Written against the code
 of both in 2025, and tried with objects that answer as theirs do; the networks themselves were not run, because their
@@ -19,15 +19,21 @@ import numpy as np
 import numpy.typing as npt
 
 
-def save(scene: Any, file: str | Path) -> None:
+def save(scene: Any, folder: str | Path) -> None:
     """Writes cameras and depth of an aligned scene in the layout of VGGT's demo, which `tj.load_scene` reads.
 
     Args:
         scene: has `imgs`, `get_focals`, `get_principal_points` and `get_im_poses`; and `get_dense_pts3d` (MASt3R), or
             `get_depthmaps` and `im_conf` (DUSt3R).
-        file: must be named predictions.npz.
+        folder: gets predictions.npz.
+
+    Raises:
+        ValueError: the images have different sizes.
     """
-    images = np.stack([np.asarray(image, np.float32) for image in scene.imgs])  # [S, H, W, 3] RGB in [0, 1]
+    pictures = [np.asarray(image, np.float32) for image in scene.imgs]  # [H, W, 3] RGB in [0, 1]
+    if len({picture.shape for picture in pictures}) != 1:
+        raise ValueError(f"scene: expected images of one size, got {sorted({one.shape for one in pictures})}")
+    images = np.stack(pictures)
     count, height, width, _ = images.shape
     intrinsics = np.tile(np.eye(3), (count, 1, 1))
     intrinsics[:, 0, 0] = intrinsics[:, 1, 1] = _array(scene.get_focals()).reshape(count)
@@ -38,13 +44,14 @@ def save(scene: Any, file: str | Path) -> None:
         depth, sure = scene.get_depthmaps(), scene.im_conf
     depth, sure = (np.stack([_array(one).reshape(height, width) for one in maps]) for maps in (depth, sure))
     world_to_camera = np.linalg.inv(_array(scene.get_im_poses()))
+    Path(folder).mkdir(parents=True, exist_ok=True)
     np.savez_compressed(
-        file,
+        Path(folder) / "predictions.npz",
         images=images.transpose(0, 3, 1, 2),
-        extrinsic=world_to_camera[:, :3],
-        intrinsic=intrinsics,
-        depth=depth[..., None],
-        depth_conf=sure,
+        extrinsic=world_to_camera[:, :3].astype(np.float32),
+        intrinsic=intrinsics.astype(np.float32),
+        depth=depth[..., None].astype(np.float32),
+        depth_conf=sure.astype(np.float32),
     )
 
 
