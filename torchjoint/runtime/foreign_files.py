@@ -105,7 +105,7 @@ def read_text(path: Path, expected: str, most: int = bounds.TEXT_BYTES, *, error
     data = read_file(path, expected, most)
     with damage_is(f"{path}: expected {expected} as text"):
         text = data.decode("utf-8-sig", errors)
-    return text.replace("\r\n", "\n").replace("\r\n", "\n").replace("\r", "\n")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_json(path: Path, expected: str) -> Any:
