@@ -128,15 +128,15 @@ def tell_unlisted(name: str, files: Sequence[Path], left: int = 0, why: str = ""
 
 
 def sorted_images(folder: Path, files: Iterable[Path]) -> list[Path]:
-    """Images of a folder, sorted by the number at the end of their names, 2 before 10; each frame has one."""
+    """Images of a folder, sorted by name, numbers in it by their values: 2 before 10; each frame has one."""
     stems = [(file.stem.removesuffix(".color"), file) for file in files]
     no_twice((stem for stem, _ in stems), f"{folder}: the colour image of frame")
-    return [file for _, file in sorted(stems, key=lambda one: _number_and_name(one[0]))]
+    return [file for _, file in sorted(stems, key=lambda one: _words_and_numbers(one[0]))]
 
 
-def _number_and_name(stem: str) -> tuple[int, str]:
-    digits = stem[len(stem.rstrip("0123456789")) :]
-    return int(digits[-18:] or -1), stem
+def _words_and_numbers(stem: str) -> tuple[list[str | int], str]:
+    parts = re.split(r"(\d+)", stem)  # words and numbers in turn
+    return [part if number % 2 == 0 else int(part[-4000:]) for number, part in enumerate(parts)], stem
 
 
 def _without_number(file: Path) -> str:

@@ -202,6 +202,9 @@ def read_run(folder: Path, parse: Callable[[Any], T]) -> T:
     Args:
         folder: the result.
         parse: makes a value of the file's content; an error of it is one of the file.
+
+    Raises:
+        FileNotFoundError, ValueError: it is missing, or no record of a run; the message names the file.
     """
     file = present(folder / "run.yaml", "a folder that `torchjoint segment` wrote")
     return read_yaml(file, parse, "a record of a run")
@@ -209,12 +212,12 @@ def read_run(folder: Path, parse: Callable[[Any], T]) -> T:
 
 def read_config(folder: Path) -> Config:
     """Reads the parameters of the run that made a result."""
-    return read_run(folder, lambda record: Config.from_dict(record.get("config")))
+    return read_run(folder, lambda record: Config.from_dict(record["config"]))
 
 
 def read_source(folder: Path) -> str:
     """Reads the input of the run that made a result: the recording's path, as it was given to `segment`."""
-    return read_run(folder, lambda record: str(record.get("scene")))
+    return read_run(folder, lambda record: str(record["scene"]))
 
 
 def read_origin(folder: Path) -> Origin:

@@ -134,20 +134,24 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.i
     own = boxes_of(result)
     inside = _members(boxes, points)
     segment_of = _matches(inside, _members([*own.values()], points), [*own])
-    first = {segment: int(piece[labels == segment].min()) for segment in own}
+    known = np.flatnonzero(labels >= 0)
+    first = np.full(int(labels.max()) + 1, len(points))
+    np.minimum.at(first, labels[known], piece[known])
+    shape = len(points), len(first)
+    of_segment = csr_array((np.ones(len(known), np.int64), (known, labels[known])), shape=shape)
+    shares = ((inside @ of_segment) / np.maximum(of_segment.sum(0), 1)).tocsc()  # [B, S]
     steps: list[Edit] = []
     by_size = sorted(segment_of, key=lambda number: (np.prod(boxes[number].size), number))
     for segment in sorted(own.keys() - set(segment_of.values())):
-        of_segment = np.flatnonzero(labels == segment)
-        shares = inside[:, of_segment].sum(1) / len(of_segment)
-        holder = next((number for number in by_size if shares[number] > INSIDE), None)
+        held = shares[:, [segment]].toarray()[:, 0]
+        holder = next((number for number in by_size if held[number] > INSIDE), None)
         if holder is not None:
-            steps.append(Edit("join", (first[segment_of[holder]], first[segment])))
+            steps.append(Edit("join", (int(first[segment_of[holder]]), int(first[segment]))))
     joined = len(steps)
     for number, segment in sorted(segment_of.items()):
         name = _told(boxes[number].name)
         if boxes[number].name and _words(name) != _words(_told(result.segment_names.get(segment, ""))):
-            steps.append(Edit("name", (first[segment],), name))
+            steps.append(Edit("name", (int(first[segment]),), name))
     empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
     return BoxEdits(tuple(steps), joined, len(steps) - joined, empty)
 
@@ -175,9 +179,11 @@ def _matches(inside: csr_array, own: csr_array, segments: Sequence[int]) -> dict
     either = inside.sum(1)[shared.row] + own.sum(1)[shared.col] - shared.data
     pairs = zip(-shared.data / either, shared.row.tolist(), shared.col.tolist(), strict=True)
     found: dict[int, int] = {}
+    taken: set[int] = set()
     for iou, number, place in sorted(pairs):
-        if -iou >= SAME and number not in found and segments[place] not in found.values():
+        if -iou >= SAME and number not in found and place not in taken:
             found[number] = segments[place]
+            taken.add(place)
     return found
 
 

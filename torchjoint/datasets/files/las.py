@@ -239,6 +239,10 @@ def _parse(head: bytes) -> LasHeader:
 
 def _check_records(file: BinaryFile, header: LasHeader) -> None:
     """Checks that the records before and after the points lie in the file."""
+    room, behind = header.points_at - header.size, file.size - header.extended_at
+    if header.num_records * RECORD > room or header.num_extended * EXTENDED_RECORD > behind:
+        held = f"{header.num_records} and {header.num_extended} records"
+        raise ValueError(f"{held} do not fit into {room} and {behind} bytes")
     file.place = header.size
     for _ in range(header.num_records):
         file.skip(RECORD - 34)

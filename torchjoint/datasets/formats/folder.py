@@ -23,7 +23,7 @@ from torchjoint.datasets.cameras import world_to_camera
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_label_image, read_matrix
 from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames, sorted_images
 from torchjoint.datasets.truth import label_images
-from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_labels
@@ -48,6 +48,7 @@ def read_frames(path: Path) -> LazySequence[Frame]:
     """Returns the frames of a folder; each frame is read on access."""
     colors = sorted_images(path, _color_files(path))
     stems = [file.name.split(".")[0] for file in colors]
+    no_twice(stems, f"{path}: the colour image of frame")
     lost = {file.name.split(".")[0] for file in path.glob("frame-*.pose.txt")}.difference(stems)
     if lost:
         warnings.warn(
