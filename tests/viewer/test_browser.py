@@ -74,7 +74,7 @@ def page(browser, viewer):
     page.close()
 
 
-def wait(condition, seconds=30.0):
+def wait(condition, seconds=90.0):
     """Until a condition holds; the time only ends a test that has failed anyway."""
     end = time.monotonic() + seconds
     while not condition():
