@@ -136,6 +136,7 @@ def sorted_images(folder: Path, files: Iterable[Path]) -> list[Path]:
 
 def _words_and_numbers(stem: str) -> tuple[list[str | int], str]:
     parts = re.split(r"(\d+)", stem)  # words and numbers in turn
+    # Python reads at most 4300 digits
     return [part if number % 2 == 0 else int(part[-4000:]) for number, part in enumerate(parts)], stem
 
 

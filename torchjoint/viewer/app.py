@@ -20,6 +20,7 @@ from torchjoint.runtime.messages import printable
 from torchjoint.scene.checks import as_direction
 from torchjoint.viewer.cloud import CloudView, pick_point
 from torchjoint.viewer.html import PREFIX, found_html, image_html, note_html, panel_html, table_html
+from torchjoint.viewer.measures import hues_of_keys
 from torchjoint.viewer.model import Model, export_selected
 from torchjoint.viewer.painting import RelationLines, painted, point_colors
 from torchjoint.viewer.panel import RESET, Panel
@@ -39,7 +40,7 @@ class Viewer:
         up: [3] upward direction in the world frame; None: from the poses and the largest level plane.
         host, port: of the page. With the default host only this machine can open it. If the port is in use, the next
             free one is used.
-        on_open: called with its address, as soon as it answers; the panel may come a second later.
+        on_open: called with the page's address as soon as the page answers; the panel may come a second later.
 
     Attributes:
         url: address of the page. Who knows it can see and correct the result.
@@ -116,7 +117,7 @@ class Viewer:
             chosen = self.model.measures.hues[[*self.model.selected]]
             model = Model(result, self._saved if shown else self._shown.edits(result), self.model.up)
             if hues is not None:
-                model.measures.hues = np.append(hues, model.parts.keys + hues.max(initial=-1) + 1)[model.parts.keys]
+                model.measures.hues = hues_of_keys(hues, model.parts.keys)
             model.mode, model.pale, model.shading = self.model.mode, self.model.pale, shading
             model.select(tuple(np.unique(model.table[np.isin(model.measures.hues[model.table], chosen)]).tolist()))
             self.model = model
@@ -285,7 +286,7 @@ class Viewer:
             self._show_all(client)
         self._cloud.look_from(client.camera.position)
         if abs(self._standing.get(client.client_id, client.camera.wxyz) @ client.camera.wxyz) < 0.9999:
-            self._standing.pop(client.client_id, None)  # no orientation at all is like no other
+            self._standing.pop(client.client_id, None)  # it may not stand there: a broken orientation is like no other
             client.scene.set_background_image(None)
             self._cloud.resize(self._panel.size.value)
 
@@ -321,7 +322,10 @@ class Viewer:
         self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
 
     def _on_view(self, client: Any) -> None:
-        self._show_all(client) if self._panel.view.value == RESET else self._select(())
+        if self._panel.view.value == RESET:
+            self._show_all(client)
+        else:
+            self._select(())
 
     def _show_all(self, client: Any) -> None:
         """Shows the whole cloud, as large as the canvas allows."""
@@ -341,7 +345,7 @@ class Viewer:
         if (name := self._panel.name.value) != self._selected_name():
             try:
                 self.model.name(name)
-            except ValueError:  # otherwise the field stays: the user may have typed on
+            except ValueError:  # only then: after a success the user may have typed on
                 self._panel.name.value = self._selected_name()
                 raise
             self._draw_lists()

@@ -157,3 +157,13 @@ def kept_numbers(segment: Table, before: Table, number: Table) -> Table:
     for one in np.unique(segment):
         numbers[one] = found[one] if one in found else next(free)
     return numbers
+
+
+def hues_of_keys(hues: Table, keys: Table) -> Table:
+    """The hues [P] of keys [P]: those of the S segments, `hues` [S]; others that no segment has for all other keys.
+
+    Example:
+        >>> hues_of_keys(np.array([4, 0]), np.array([1, 0, 2, 3])).tolist()
+        [0, 4, 7, 8]
+    """
+    return np.where(keys < len(hues), np.append(hues, 0)[np.minimum(keys, len(hues))], keys + hues.max(initial=-1) + 1)

@@ -105,7 +105,9 @@ class Model:
         here, there = self.table[self.parts.of_point], model.table[parts.of_point]
         same_place = [int(np.bincount(there[here == segment]).argmax()) for segment in self.selected]
         model.select(tuple(same_place))
-        model.measures.hues = kept_numbers(there, self.measures.hues[here], parts.keys)
+        before = self.measures.hues[here]
+        # segments of other levels get numbers that no segment of this level has
+        model.measures.hues = kept_numbers(there, before, parts.keys + before.max() + parts.count)
         if model.edits.steps == self.edits.steps:
             model._before = self._before
         return model

@@ -65,7 +65,7 @@ class Boundaries(NamedTuple):
         return cls(torch.bincount(pair, minlength=num_pairs), averaged, binned)
 
     def grouped(self, across: Sequence[Tensor], of_pair: Sequence[Tensor], num_pairs: Sequence[int]) -> Boundaries:
-        """Boundaries that become one are added; in several ways, one after the other.
+        """Adds boundaries that become one, in several ways; the boundaries of each way follow those of the way before.
 
         Args:
             across: for each way the numbers [q] int64 of the boundaries that stay.
