@@ -35,8 +35,8 @@ from torchjoint.cloud.edge_weights import geometric_weights
 from torchjoint.cloud.graph import undirected_edges
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
-from torchjoint.config import ImageGraphConfig, PointGraphConfig
-from torchjoint.images.pixel_graph import grid_edges, pixel_weights
+from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig, PointGraphConfig
+from torchjoint.images.pixel_graph import segment_image
 
 SCALE, MIN_SIZE = 1.0, 100
 SIZES = {"640x480": (480, 640), "1296x968": (968, 1296)}
@@ -60,7 +60,7 @@ def main() -> None:
     parser.add_argument("--largest", type=float, default=1e7, help="edges of the largest graph in the plot")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    measures = {"felzenszwalb": edge_lists, "felzenszwalb_image": images, "min_cut": cuts, "two_threads": threads}
+    measures = {"felzenszwalb": edge_lists, "images": images, "min_cut": cuts, "two_threads": threads}
     for name, measure in measures.items():
         report.save(name, [measure()])
     growth(np.geomspace(1e4, arguments.largest, 7))
@@ -98,12 +98,11 @@ def images() -> report.Table:
         image = photograph(*size)
         times = medians(
             {
-                "felzenszwalb_image": lambda i=image: segment(i),
-                "edge list": lambda i=image: segment_by_edge_list(i),
+                "felzenszwalb": lambda i=image: segment(i),
                 **peers.image_segmenters(image, SCALE, MIN_SIZE),
             }
         )
-        columns = against("felzenszwalb_image", times)
+        columns = against("felzenszwalb", times)
         rows.append([name, *columns.values()])
     return report.Table({"image": 0} | dict.fromkeys(columns, 1), rows)
 
@@ -115,15 +114,8 @@ def against(ours: str, times: dict[str, float], calls: int = 1) -> dict[str, flo
 
 
 def segment(image: torch.Tensor) -> torch.Tensor:
-    return tj.ops.felzenszwalb_image(image[None], scale=SCALE, min_size=MIN_SIZE)
-
-
-def segment_by_edge_list(image: torch.Tensor) -> torch.Tensor:
-    height, width = image.shape[1:]
-    config = ImageGraphConfig(smoothing=0)
-    weight = pixel_weights(image, torch.zeros(height, width), config)
-    edges = grid_edges(height, width)
-    return tj.ops.felzenszwalb(edges, weight, height * width, SCALE, MIN_SIZE)
+    settings = ImageGraphConfig(smoothing=0), ImageSegmentsConfig(scale=SCALE, min_size=MIN_SIZE)
+    return segment_image(image, torch.zeros(image.shape[1:]), *settings)
 
 
 def cuts() -> report.Table:
@@ -149,7 +141,7 @@ def threads() -> report.Table:
     graph, image, cut = image_graph(photograph(480, 640)), photograph(480, 640), image_cut(200)
     functions = {
         "felzenszwalb, 640x480": lambda: tj.ops.felzenszwalb(*graph, SCALE, MIN_SIZE),
-        "felzenszwalb_image, 640x480": lambda: segment(image),
+        "from an image to labels, 640x480": lambda: segment(image),
         "min_cut, 200x200": lambda: tj.ops.min_cut(*cut[:4]),
     }
     rows = []
@@ -169,7 +161,7 @@ def growth(edges: np.ndarray) -> None:
         graph = image_graph(image)
         functions = {
             "felzenszwalb, edges given": lambda g=graph: tj.ops.felzenszwalb(*g, SCALE, MIN_SIZE),
-            "felzenszwalb_image": lambda i=image: segment(i),
+            "felzenszwalb, from an image": lambda i=image: segment(i),
             "floor: radix argsort of the weights": argsort_floor(graph.weight),
             **peers.image_segmenters(image, SCALE, MIN_SIZE),
         }

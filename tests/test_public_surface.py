@@ -36,7 +36,7 @@ PUBLIC = {
         save_masks
     """,
     "torchjoint.ops": """
-        connected_components felzenszwalb felzenszwalb_image fit_normals merge_regions min_cut
+        connected_components felzenszwalb fit_normals merge_regions min_cut
         nearest_neighbors neighbor_edges project propagate_labels region_dendrogram splat_depth ultrametric_contours
     """,
     "torchjoint.metrics": """

@@ -7,7 +7,6 @@ from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.images.boundary import GradientBoundary
 from torchjoint.images.contours import smooth
 from torchjoint.images.pixel_graph import grid_edges, pixel_weights, segment_image
-from torchjoint.ops import felzenszwalb
 
 
 def test_grid_edges_by_hand():
@@ -59,15 +58,6 @@ def test_two_flat_halves_are_two_segments():
     labels = segment_image(image, torch.zeros(20, 30), ImageGraphConfig(smoothing=0), segments)
     assert (labels[:, :12] == 0).all()
     assert (labels[:, 12:] == 1).all()
-
-
-def test_the_graph_that_is_never_built():
-    generator = torch.Generator().manual_seed(1)
-    image, boundary = torch.rand(3, 40, 30, generator=generator), torch.rand(40, 30, generator=generator)
-    graph, segments = ImageGraphConfig(smoothing=1.5, color_weight=0.7), ImageSegmentsConfig(scale=0.5, min_size=9)
-    expected = felzenszwalb(grid_edges(40, 30), pixel_weights(image, boundary, graph), 40 * 30, 0.5, 9).view(40, 30)
-    assert len(expected.unique()) > 3
-    assert torch.equal(segment_image(image, boundary, graph, segments), expected)
 
 
 def test_smoothing_zero_is_the_identity_and_keeps_constants_else():

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 import torch
 from reference import Operator, operators
-from reference.arguments import EDGES, IMAGES, NAN, NEIGHBORS, POINTS, SINK, SOURCE, VALUES, changed
+from reference.arguments import EDGES, NAN, NEIGHBORS, POINTS, SINK, SOURCE, VALUES, changed
 from torch import Tensor
 
 from torchjoint import ops
@@ -99,8 +99,6 @@ def test_opcheck(dtype: torch.dtype) -> None:
     values, source, sink = VALUES.to(dtype), SOURCE.to(dtype), SINK.to(dtype)
     for operator, arguments in (
         (torch.ops.torchjoint.felzenszwalb.default, (EDGES, values, 4, 1.0, 2)),
-        (torch.ops.torchjoint.felzenszwalb_image.default, (IMAGES, IMAGES[:, 0], 1.0, 2)),
-        (torch.ops.torchjoint.felzenszwalb_image.default, (IMAGES, None, 1.0)),
         (torch.ops.torchjoint.min_cut.default, (EDGES, values, source, sink)),
         (torch.ops.torchjoint.neighbor_edges.default, (NEIGHBORS,)),
         (torch.ops.torchjoint.fit_normals.default, (POINTS.to(dtype), NEIGHBORS.int())),

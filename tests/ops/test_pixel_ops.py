@@ -20,9 +20,9 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.cloud.graph import CsrAdjacency
-from torchjoint.config import ImageGraphConfig
+from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.images.contours import smooth
-from torchjoint.images.pixel_graph import grid_edges, pixel_weights
+from torchjoint.images.pixel_graph import grid_edges, pixel_weights, segment_image
 from torchjoint.ops.internal import line_maxima, outvoted_markers, pair_counts, segment_graphs, window_overlaps
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -208,8 +208,9 @@ def test_gaps_are_closed() -> None:
     closed = ops.ultrametric_contours(outline, relief)
     inside, outside = (20, 25), (3, 3)
     for boundary, leaks in ((outline, True), (closed, False)):
-        passable = (boundary < 0.5).float()
-        labels = ops.felzenszwalb_image(passable.expand(1, 3, -1, -1), scale=1e-9)[0]
+        passable = (boundary < 0.5).float().expand(3, -1, -1)
+        settings = ImageGraphConfig(smoothing=0), ImageSegmentsConfig(scale=1e-9, min_size=0)
+        labels = segment_image(passable, torch.zeros(40, 50), *settings)
         assert (labels[inside] == labels[outside]) == leaks
 
 

@@ -1,61 +1,74 @@
-// The operator felzenszwalb: segments a graph that is given as a list of edges.
+// The operator felzenszwalb: P. Felzenszwalb, D. Huttenlocher, "Efficient Graph-Based Image Segmentation", IJCV 2004.
+#include "ascending.h"
 #include "common.h"
-#include "components.h"
+#include "union_find.h"
 
 namespace torchjoint {
 namespace {
 
-template <typename Weight>
-class EdgeList {
+// Algorithm 1 of the paper: a Graph for Ascending. Each root also stores the value that the merging predicate needs.
+class Components : public UnionFind {
  public:
-  // Stores the ends, not the edge's number: in the order of weights, looking up ends by number would be random access.
-  using Edge = Ends;
+  Components(int64_t num_nodes, float scale, int64_t min_size)
+      : UnionFind(num_nodes), threshold_(num_nodes), scale_(scale),
+        min_size_(static_cast<int32_t>(std::min(min_size, num_nodes))) {
+    std::fill_n(threshold_.data(), num_nodes, scale);
+  }
 
-  EdgeList(const int64_t* edge_index, const Weight* weight, int64_t num_edges)
-      : first_(edge_index), second_(edge_index + num_edges), weight_(weight), num_edges_(num_edges) {}
+  bool filter(Ends& ends) {
+    ends = {climb(ends.u), climb(ends.v)};
+    return ends.u != ends.v;
+  }
 
-  template <typename Function>
-  void read(Function f) const {
-    std::array<uint32_t, kBlock> keys;
-    for (int64_t start = 0; start < num_edges_; start += kBlock) {
-      const size_t count = std::min<int64_t>(kBlock, num_edges_ - start);
-      for (size_t i = 0; i < count; ++i) keys[i] = sort_key(static_cast<float>(weight_[start + i]));
-      f(keys.data(), count, [&](size_t i) {
-        return Ends{static_cast<int32_t>(first_[start + i]), static_cast<int32_t>(second_[start + i])};
-      });
+  void visit(Ends ends, float weight) {
+    const int32_t a = find(ends.u), b = find(ends.v);
+    if (a == b) return;
+    if (weight <= threshold_[a] && weight <= threshold_[b]) {
+      // Edges come in ascending order, so this edge is the heaviest in the spanning tree of the joined component.
+      const int32_t root = join(a, b);
+      threshold_[root] = weight + scale_ / static_cast<float>(size(root));
+    } else if (is_small(a) || is_small(b)) {
+      refused_.push_back({a, b});
     }
   }
 
-  static Ends ends(Edge edge) { return edge; }
-
-  void check(int64_t num_nodes) const {
-    for (int64_t start = 0; start < num_edges_; start += kBlock) {
-      const int64_t end = std::min<int64_t>(start + kBlock, num_edges_);
-      bool bad = false;
-      for (int64_t e = start; e < end; ++e) {
-        bad |= static_cast<uint64_t>(first_[e]) >= static_cast<uint64_t>(num_nodes);
-        bad |= static_cast<uint64_t>(second_[e]) >= static_cast<uint64_t>(num_nodes);
-        bad |= weight_[e] != weight_[e];
-      }
-      if (bad) [[unlikely]]
-        report(start, end, num_nodes);
+  // The second pass: joins each small component along its first edge to another component.
+  void join_small() {
+    for (const Ends& ends : refused_) {
+      const int32_t a = find(ends.u), b = find(ends.v);
+      if (a != b && (is_small(a) || is_small(b))) join(a, b);
     }
+  }
+
+  void prefetch(Ends ends) const {
+    UnionFind::prefetch(ends.u);
+    UnionFind::prefetch(ends.v);
+  }
+
+  void prefetch_root(Ends ends) const {
+    prefetch(ends);
+    __builtin_prefetch(&threshold_[ends.u], 1);
+    __builtin_prefetch(&threshold_[ends.v], 1);
   }
 
  private:
-  void report(int64_t start, int64_t end, int64_t num_nodes) const {
-    for (int64_t e = start; e < end; ++e) {
-      check_node(first_[e], num_nodes, e);
-      check_node(second_[e], num_nodes, e);
-      if (weight_[e] != weight_[e]) fail("weight: expected no NaN, got NaN at edge ", e);
-    }
-  }
+  bool is_small(int32_t root) const { return size(root) < min_size_; }
 
-  const int64_t* first_;
-  const int64_t* second_;
-  const Weight* weight_;
-  int64_t num_edges_;
+  // A separate array, because links are read far more often than thresholds.
+  Array<float> threshold_;  // of a root: Int(C) + k / |C|
+  float scale_;
+  int32_t min_size_;
+  std::vector<Ends> refused_;  // edges that the second pass may need, in order
 };
+
+template <typename Weight>
+void check_edges(const int64_t* edge_index, const Weight* weight, int64_t num_edges, int64_t num_nodes) {
+  for (int64_t e = 0; e < num_edges; ++e) {
+    check_node(edge_index[e], num_nodes, e);
+    check_node(edge_index[num_edges + e], num_nodes, e);
+    check(weight[e] == weight[e], "weight: expected no NaN, got NaN at edge ", e);
+  }
+}
 
 Tensor felzenszwalb(const Tensor& edge_index, const Tensor& weight, int64_t num_nodes, double scale, int64_t min_size) {
   const Tensor edges = checked_edge_index(edge_index);
@@ -67,10 +80,11 @@ Tensor felzenszwalb(const Tensor& edge_index, const Tensor& weight, int64_t num_
 
   Tensor labels = torch::stable::new_empty(edges, {num_nodes}, ScalarType::Long);
   with_values(weights, [&](const auto* values) {
-    const EdgeList source(edges.const_data_ptr<int64_t>(), values, num_edges);
-    source.check(num_nodes);
+    const int64_t* const ends = edges.const_data_ptr<int64_t>();
+    check_edges(ends, values, num_edges, num_nodes);
     Components components(num_nodes, static_cast<float>(scale), min_size);
-    segment(source, components, num_edges, num_edges);
+    Ascending(ends, values, num_edges, components).visit_all();
+    components.join_small();
     components.write_labels(labels.mutable_data_ptr<int64_t>());
   });
   return labels;

@@ -38,15 +38,15 @@ def pixel_weights(image: Tensor, boundary: Tensor, config: ImageGraphConfig) -> 
     colors = smooth(image[None], config.smoothing)[0]
     weights = []
     for (color_i, color_j), (b_i, b_j) in zip(_neighbor_views(colors), _neighbor_views(boundary), strict=True):
-        red, green, blue = (color_i - color_j).square()
-        # The root is taken in float64 to equal felzenszwalb_image: torch's float32 root may be wrong in the last bit.
-        distance = ((red + green) + blue).double().sqrt().float()
-        weights.append((config.color_weight * distance + config.boundary_weight * torch.minimum(b_i, b_j)).reshape(-1))
-    return torch.cat(weights)
+        red, green, blue = (color_i - color_j).square_()
+        # The root is taken in float64: torch's float32 root differs in the last bit from processor to processor.
+        distance = red.add_(green).add_(blue).double().sqrt_().float()
+        weights.append(distance.mul_(config.color_weight).add_(torch.minimum(b_i, b_j).mul_(config.boundary_weight)))
+    return torch.cat([weight.reshape(-1) for weight in weights])
 
 
 def segment_image(image: Tensor, boundary: Tensor, graph: ImageGraphConfig, segments: ImageSegmentsConfig) -> Tensor:
-    """Felzenszwalb-Huttenlocher segmentation of an image's pixel graph (step 2), without building the graph.
+    """Felzenszwalb-Huttenlocher segmentation of an image's pixel graph (step 2).
 
     Args:
         image: [3, H, W] RGB in [0, 1].
@@ -55,16 +55,12 @@ def segment_image(image: Tensor, boundary: Tensor, graph: ImageGraphConfig, segm
         segments: scale and minimum size.
 
     Returns:
-        [H, W] int64 labels, the same as :func:`torchjoint.ops.felzenszwalb` on grid_edges with pixel_weights.
+        [H, W] int64 labels 0, 1, 2, ... in the order of their first pixel, row by row.
     """
-    return ops.felzenszwalb_image(
-        smooth(image[None], graph.smoothing),
-        boundary[None],
-        scale=segments.scale,
-        min_size=segments.min_size,
-        color_weight=graph.color_weight,
-        boundary_weight=graph.boundary_weight,
-    )[0]
+    edge_index = grid_edges(*boundary.shape)
+    weight = pixel_weights(image, boundary, graph)
+    labels = ops.felzenszwalb(edge_index, weight, boundary.numel(), segments.scale, segments.min_size)
+    return labels.view_as(boundary)
 
 
 def _neighbor_views(values: Tensor) -> list[tuple[Tensor, Tensor]]:

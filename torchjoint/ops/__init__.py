@@ -8,13 +8,12 @@ simple Python version of each operator is in ``tests/reference/``.
 """
 
 from torchjoint.ops.graphs import connected_components, felzenszwalb, merge_regions, min_cut, region_dendrogram
-from torchjoint.ops.images import felzenszwalb_image, propagate_labels, ultrametric_contours
+from torchjoint.ops.images import propagate_labels, ultrametric_contours
 from torchjoint.ops.points import fit_normals, nearest_neighbors, neighbor_edges, project, splat_depth
 
 __all__ = [
     "connected_components",
     "felzenszwalb",
-    "felzenszwalb_image",
     "fit_normals",
     "merge_regions",
     "min_cut",
