@@ -2,7 +2,7 @@
 
 import torch
 
-from torchjoint.cloud.graph import CsrAdjacency, PointGraph
+from torchjoint.cloud.graph import PointGraph
 
 
 def graph_of(points, edges, normals, colors=None):
@@ -15,6 +15,5 @@ def graph_of(points, edges, normals, colors=None):
         has_given_normals=True,
         known_spacing=torch.ones(len(points)),
         edge_index=edge_index,
-        adjacency=CsrAdjacency.of(edge_index, len(points)),
         neighbors=torch.empty(len(points), 0).int(),
     )

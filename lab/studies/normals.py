@@ -24,7 +24,7 @@ from torch.nn.functional import normalize
 from torchjoint_lab.synthetic import SyntheticScene, make_scene
 
 import torchjoint as tj
-from torchjoint.cloud.graph import CsrAdjacency, PointGraph
+from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.mesh import face_edges
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
@@ -95,7 +95,7 @@ def with_edges(graph: PointGraph, faces: Tensor, alone: bool) -> PointGraph:
     edges = edges if alone else torch.cat([graph.edge_index, edges], 1)
     code = torch.unique(edges[0] * count + edges[1])
     edges = torch.stack([code // count, code % count])
-    return replace(graph, edge_index=edges, adjacency=CsrAdjacency.of(edges, count))
+    return replace(graph, edge_index=edges)
 
 
 def scores(trial: Trial, random: torch.Generator, faces: Tensor) -> Iterator[tuple[str, float, float]]:

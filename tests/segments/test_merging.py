@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchjoint import ops
-from torchjoint.segments.planes import Planes, combined_costs, crease_costs, merge
+from torchjoint.segments.planes import Planes, combined_costs, crease_costs
 
 
 def planes_at(degrees, where=(0.0, 1.0)):
@@ -93,6 +93,10 @@ def two_sheets(side, num_weak):
     cost = 0.6 * crosses
     cost[torch.nonzero(crosses).squeeze(1)[:num_weak]] = 0
     return edges, cost, (index % (2 * side) >= side).flatten().long()
+
+
+def merge(region, edges, cost, threshold, min_size):
+    return ops.merge_regions(region[edges], cost, torch.bincount(region), threshold, min_size)[region]
 
 
 class TestMerge:

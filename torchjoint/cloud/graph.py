@@ -60,13 +60,17 @@ class PointGraph:
     has_given_normals: bool  #: whether the cloud has given normals; these are oriented, also without cameras
     known_spacing: Tensor | None  #: [N] metres; None: it is computed where it is first used
     edge_index: Tensor  #: [2, E] int64, each edge once
-    adjacency: CsrAdjacency  #: CSR adjacency of the edges
     neighbors: Tensor  #: [N, K] int32, nearest first; planes are fitted to them
     scales: Scales | None = None  #: noise and spacing, method learned only
     wide_normals: Tensor | None = None  #: [N, 3] unit length, fitted to `neighbors`, method learned only
     local: LocalFrame = field(default_factory=LocalFrame.of_world)  #: the coordinates of the points
     #: [G] int64, the graph's point of each given point, -1 = none; nothing after step 3 renumbers points
     of_given: Tensor = field(default_factory=lambda: torch.empty(0, dtype=torch.int64))
+
+    @cached_property
+    def adjacency(self) -> CsrAdjacency:
+        """CSR adjacency of the edges; only images need it."""
+        return CsrAdjacency.of(self.edge_index, self.num_points)
 
     @cached_property
     def spacing(self) -> Tensor:
@@ -122,7 +126,6 @@ def build_point_graph(cloud: Cloud, neighbors: int, normal_neighbors: int | Scal
         cloud.normals is not None,
         spacing,
         edge_index,
-        CsrAdjacency.of(edge_index, len(cloud.points)),
         around,
         scales,
         None if scales is None else estimate_normals(cloud.points, around),
@@ -139,7 +142,6 @@ def build_edgeless_graph(cloud: Cloud) -> PointGraph:
         False,
         None,
         no_edges,
-        CsrAdjacency.of(no_edges, len(cloud.points)),
         torch.empty(len(cloud.points), 0, dtype=torch.int32),
     )
 

@@ -117,29 +117,3 @@ def combined_costs(crease: Tensor, disagreement: Tensor, weight: float, agreemen
         [E] float32.
     """
     return crease * (1 - agreement * (1 - disagreement)) + weight * (1 - crease) * disagreement
-
-
-def merge(region: Tensor, edge_index: Tensor, cost: Tensor, threshold: float, min_size: int) -> Tensor:
-    """Repeatedly merges the two regions with the lowest mean boundary cost, up to the threshold.
-
-    Then each region of fewer than `min_size` points is joined to the neighbour with the lowest mean boundary cost.
-
-    Args:
-        region: [N] int64, region of each point, 0 ... R - 1.
-        edge_index: [2, E] int64, edges between points; edges inside a region are ignored.
-        cost: [E] float32 in [0, 1024].
-        threshold: largest mean boundary cost of two regions that merge.
-        min_size: points.
-
-    Returns:
-        [N] int64 segments 0, 1, ..., numbered by their first regions.
-    """
-    return merge_sized(region, edge_index, cost, torch.bincount(region), threshold, min_size)
-
-
-def merge_sized(
-    region: Tensor, edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int
-) -> Tensor:
-    """As :func:`merge`, but `size` [R] int64 gives the size of each region instead of its number of points."""
-    with all_threads():
-        return ops.merge_regions(region[edge_index], cost, size, threshold, min_size)[region]

@@ -93,6 +93,8 @@ def evaluate_regions(
 
 
 def _segment(image: Tensor, boundary: Tensor, setting: RegionSetting) -> Tensor:
+    if boundary.shape != image.shape[1:]:
+        raise ValueError(f"boundaries: expected shape {list(image.shape[1:])}, got {list(boundary.shape)}")
     if setting.contours is not None and setting.graph.boundary_weight > 0:
         boundary = close_contours(boundary[None], *setting.contours)[0]
     return segment_image(image, boundary, setting.graph, setting.segments)

@@ -14,7 +14,6 @@ from torchjoint.segments.planes import (
     SMOOTH_REGIONS,
     combined_costs,
     crease_costs,
-    merge,
     one_sided_planes,
     small_regions,
 )
@@ -24,7 +23,7 @@ from torchjoint_lab.regions.config import RegionsConfig
 from torchjoint_lab.regions.image_support import best_overlaps
 from torchjoint_lab.regions.occlusion_bridging import bridge
 from torchjoint_lab.regions.pieces import piece_disagreement
-from torchjoint_lab.regions.small_segments import join_small
+from torchjoint_lab.regions.small_segments import join_small, merge
 
 #: Smallest piece, points; smaller pieces are joined to a neighbour, whatever the boundary cost. Fewer points have no
 #: reliable r of their own; more loses small objects.

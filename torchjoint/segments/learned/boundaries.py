@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -31,6 +31,8 @@ AVERAGED = ("hollow", "unoriented", "seen", "views")
 #: Number of bins of a measure. The bins of the crease begin at -1 and all others at 0, see :func:`_bins`.
 BINS = 32
 _LOWEST = {"crease": -1.0}
+#: The histograms of more boundaries are not kept, but computed from the edges, which take a fifth of the memory.
+MANY_BOUNDARIES = 200_000
 
 
 class Boundaries(NamedTuple):
@@ -40,7 +42,7 @@ class Boundaries(NamedTuple):
     averaged: Tensor  #: [Q, A] float64, sums of AVERAGED
     #: For each known measure [Q, 2, BINS] float32: the number of edges in each bin, and the sum of their values; an
     #: edge without a value is in no bin
-    binned: dict[str, Tensor]
+    binned: Mapping[str, Tensor]
 
     @classmethod
     def of(cls, pair: Tensor, num_pairs: int, values: dict[str, Tensor]) -> Boundaries:
@@ -49,20 +51,15 @@ class Boundaries(NamedTuple):
         Args:
             pair: [C] int64, boundary of each edge, 0 ... Q - 1.
             num_pairs: Q.
-            values: those of MEASURES and AVERAGED that are known, [C] each, NaN = missing; will be empty.
+            values: those of MEASURES and AVERAGED that are known, [C] each, NaN = missing.
         """
-        averaged, binned = torch.zeros(num_pairs, len(AVERAGED), dtype=torch.float64), {}
+        averaged = torch.zeros(num_pairs, len(AVERAGED), dtype=torch.float64)
         for number, name in enumerate(AVERAGED):
             if name in values:
-                averaged[:, number] = sum_by(pair, values.pop(name).double(), num_pairs)
-        for name in MEASURES:
-            if name in values:
-                known, value = values[name].isfinite(), values.pop(name).nan_to_num(0, 0, 0)
-                key = pair * BINS + _bins(value, name)
-                sums = binned[name] = torch.empty(num_pairs, 2, BINS, dtype=torch.float32)
-                for number, of_edge in enumerate((known, value)):
-                    sums[:, number] = torch.bincount(key, of_edge, num_pairs * BINS).view(num_pairs, BINS)
-        return cls(torch.bincount(pair, minlength=num_pairs), averaged, binned)
+                averaged[:, number] = sum_by(pair, values[name].double(), num_pairs)
+        binned = _Histograms(pair, num_pairs, {name: values[name] for name in MEASURES if name in values})
+        counted = binned if num_pairs > MANY_BOUNDARIES else dict(binned)
+        return cls(torch.bincount(pair, minlength=num_pairs), averaged, counted)
 
     def grouped(self, across: Sequence[Tensor], of_pair: Sequence[Tensor], num_pairs: Sequence[int]) -> Boundaries:
         """Adds boundaries that become one, in several ways; the boundaries of each way follow those of the way before.
@@ -101,6 +98,27 @@ class Boundaries(NamedTuple):
             bin_ = torch.searchsorted(up_to, place, right=True).clamp_(max=BINS - 1)
             found[name] = total.gather(1, bin_) / binned.gather(1, bin_)
         return found
+
+
+class _Histograms(Mapping[str, Tensor]):
+    """The histograms of measures, each computed from the values of the edges whenever it is read."""
+
+    def __init__(self, pair: Tensor, num_pairs: int, values: dict[str, Tensor]) -> None:
+        self._pair, self._num_pairs, self._values = pair, num_pairs, values
+
+    def __getitem__(self, name: str) -> Tensor:
+        known, value = self._values[name].isfinite(), self._values[name].nan_to_num(0, 0, 0)
+        key = self._pair * BINS + _bins(value, name)
+        sums = torch.empty(self._num_pairs, 2, BINS, dtype=torch.float32)
+        for number, of_edge in enumerate((known, value)):
+            sums[:, number] = torch.bincount(key, of_edge, self._num_pairs * BINS).view(-1, BINS)
+        return sums
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
 
 
 def _bins(values: Tensor, measure: str) -> Tensor:

@@ -25,6 +25,7 @@ from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import Votes
 from torchjoint.segments.learned.agglomeration import Merges, build_hierarchy, last_levels, merge_pieces, merging_steps
+from torchjoint.segments.learned.boundaries import MANY_BOUNDARIES
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.masks import MaskLinkage
@@ -82,7 +83,7 @@ class Panel:
         member = torch.eye(count, dtype=torch.float64)
         others = (1 - member) / (count - 1) if count > 1 else member
         self.weights = torch.cat([member, member, others])[share]  # [T, M]
-        self._is_unsure = (torch.arange(3 * count) // count == 1)[share]
+        self.is_unsure = (torch.arange(3 * count) // count == 1)[share]  # [T] bool
         self._random = torch.Generator().manual_seed(share.start)
 
     def probabilities(self, number: int, values: Tensor, judge: Tensor) -> Tensor:
@@ -97,7 +98,7 @@ class Panel:
         for member, weight in zip(self._members, self.weights.T[:, judge], strict=True):
             rows = torch.nonzero(weight).squeeze(1)
             probability[rows] += weight[rows] * member.probability(number, values[rows])
-        return self._disturbed(probability, self._is_unsure[judge])
+        return self._disturbed(probability, self.is_unsure[judge])
 
     def first_probabilities(self, values: Tensor) -> Tensor:
         """The probabilities [T, B] of all judges in the first round, of boundaries [B, F] that all see."""
@@ -105,7 +106,7 @@ class Panel:
         probability = torch.zeros(len(self.weights), len(values), dtype=torch.float64)
         for of_member, weight in zip(members, self.weights.T, strict=True):  # the bits of `@` differ between machines
             probability += weight[:, None] * of_member
-        return self._disturbed(probability, self._is_unsure[:, None].expand_as(probability))
+        return self._disturbed(probability, self.is_unsure[:, None].expand_as(probability))
 
     def _disturbed(self, probability: Tensor, is_unsure: Tensor) -> Tensor:
         # Uniform noise: the bits of normal deviates differ between processors.
@@ -229,20 +230,29 @@ def _segments(
     levels: Sequence[float],
 ) -> list[list[Tensor]]:
     """For each level the segments of each of the judges, whose regions after the first step [C], [P] are known."""
-    sizes = [int(region.max()) + 1 for region in of_cells]
-    judge = torch.arange(len(sizes)).repeat_interleave(torch.tensor(sizes))
-    # The first step merges nearly everything. What is left is small, so that the judges' graphs together fit in one.
-    forest = merge_pieces(
-        cells.grouped(*of_cells),
-        model.thresholds,
-        lambda number, values, piece: panel.probabilities(number, values, judge[piece]),
-        begun=True,
-    )
-    segments = [list(regions)]
-    for level in levels[1:]:
-        of_judges = forest.segments_of_pieces(level).split(sizes)
-        segments.append([(one - one[0])[region] for one, region in zip(of_judges, regions, strict=True)])
-    return segments
+    found: dict[int, list[Tensor]] = {}
+    for judges in _at_once(panel.is_unsure, cells.boundaries.num_edges.numel()):
+        sizes = [int(of_cells[judge].max()) + 1 for judge in judges]
+        asked = torch.tensor(judges).repeat_interleave(torch.tensor(sizes))
+        forest = merge_pieces(
+            cells.grouped(*(of_cells[judge] for judge in judges)),
+            model.thresholds,
+            lambda number, values, piece, asked=asked: panel.probabilities(number, values, asked[piece]),
+            begun=True,
+        )
+        of_levels = [forest.segments_of_pieces(level).split(sizes) for level in levels[1:]]
+        for judge, of_judge in zip(judges, zip(*of_levels, strict=True), strict=True):
+            found[judge] = [regions[judge], *((one - one[0])[regions[judge]] for one in of_judge)]
+    return [list(of_level) for of_level in zip(*(found[judge] for judge in range(len(regions))), strict=True)]
+
+
+def _at_once(is_unsure: Tensor, num_boundaries: int) -> list[list[int]]:
+    """The judges [T] whose graphs are one graph: that is faster, but takes more memory. The unsure ones share noise."""
+    numbers = list(range(len(is_unsure)))
+    if num_boundaries <= MANY_BOUNDARIES:
+        return [numbers]
+    unsure = [number for number in numbers if is_unsure[number]]
+    return [[number] for number in numbers if number not in unsure] + ([unsure] if unsure else [])
 
 
 def _of_other_pieces(regions: Sequence[Tensor], piece: Tensor, other: Tensor) -> list[Tensor]:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.cloud.edge_weights import EDGES
 from torchjoint.ops.internal import WEIGHT_UNIT
 from torchjoint.runtime.groups import members_of_groups
 from torchjoint.runtime.threads import parallel_map
@@ -157,9 +158,9 @@ class PieceGraph:
 
 def pairs_of(piece: Tensor, edge_index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The C edges across pieces [N]; the Q pairs of pieces [2, Q], ascending; the pair [C] of each of these edges."""
-    first, second = piece[edge_index]
-    across = torch.nonzero(first != second).squeeze(1)
-    first, second, num_pieces = first[across], second[across], int(piece.max()) + 1
+    blocks = enumerate(edge_index.split(EDGES, 1))  # less memory than all edges at once
+    across = torch.cat([torch.nonzero(piece[i] != piece[j]).squeeze(1) + EDGES * block for block, (i, j) in blocks])
+    (first, second), num_pieces = piece[edge_index[:, across]], int(piece.max()) + 1
     key = torch.minimum(first, second) * num_pieces + torch.maximum(first, second)
     key, pair = torch.unique(key, return_inverse=True)
     return across, torch.stack([key // num_pieces, key % num_pieces]), pair

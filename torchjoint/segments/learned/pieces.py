@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint import ops
 from torchjoint.cloud.edge_weights import EDGES, map_edges
 from torchjoint.cloud.graph import PointGraph, orient_normals
 from torchjoint.cloud.normals import angle_between, dot, is_convex, length, rows_of
@@ -19,6 +20,7 @@ from torchjoint.cloud.scales import Scales
 from torchjoint.images.boundary import to_lab
 from torchjoint.images.segmenter import brightened
 from torchjoint.runtime.memory import give_back
+from torchjoint.runtime.threads import all_threads
 from torchjoint.segments.learned.boundaries import Boundaries
 from torchjoint.segments.learned.images import image_colors, segments_of_pieces, without_dropouts
 from torchjoint.segments.learned.masks import cut_by_masks
@@ -30,7 +32,6 @@ from torchjoint.segments.planes import (
     Planes,
     combined_costs,
     crease_costs,
-    merge,
     one_sided_planes,
     small_regions,
 )
@@ -106,7 +107,9 @@ def build_piece_graph(
     r = disagreement(evidence.views, evidence.overlap_sum, OVERLAP_THRESHOLD) if seen else None
     lab, color_step, median = colors or measure_colors(graph, seen)
     cost = _edge_costs(crease_costs(graph.edge_index, planes, oriented, CONVEX_FACTOR), r, color_step, median)
-    piece = merge(torch.arange(graph.num_points), graph.edge_index, cost, THRESHOLD, MIN_SIZE)
+    with all_threads():
+        size = torch.ones(graph.num_points, dtype=torch.int64)
+        piece = ops.merge_regions(graph.edge_index, cost, size, THRESHOLD, MIN_SIZE)
     piece = cut_by_masks(piece, graph.edge_index, seen)
     across, pairs, pair = pairs_of(piece, graph.edge_index)
     measures = _geometry(graph, graph.edge_index[:, across], normals, oriented, planes, scales)
