@@ -25,7 +25,7 @@ from torch import Tensor
 from torchjoint_lab.synthetic import make_scene
 
 import torchjoint as tj
-from torchjoint.datasets.fusion import FAR
+from torchjoint.datasets.fusion import MAX_DEPTH
 from torchjoint.datasets.volume import Volume
 from torchjoint.scene import Frame
 
@@ -35,7 +35,7 @@ Image = tuple[Frame, Tensor]  # and its colours [H, W, 3] uint8
 
 
 def ours(images: list[Image], voxel_size: float) -> np.ndarray:
-    volume = Volume(voxel_size, FAR)
+    volume = Volume(voxel_size, MAX_DEPTH)
     for frame, color in images:
         volume.integrate(frame.depth, color, frame.intrinsics.double(), frame.world_to_camera.double())
     return volume.surface()[0].numpy()
@@ -46,7 +46,7 @@ def theirs(images: list[Image], voxel_size: float) -> np.ndarray:
     volume = pipelines.integration.ScalableTSDFVolume(voxel_size, 4 * voxel_size, color_type)
     for frame, color in images:
         both = geometry.RGBDImage.create_from_color_and_depth(
-            geometry.Image(color.numpy()), geometry.Image(frame.depth.numpy()), 1.0, FAR, False
+            geometry.Image(color.numpy()), geometry.Image(frame.depth.numpy()), 1.0, MAX_DEPTH, False
         )
         focal_and_center = (float(frame.intrinsics[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
         pinhole = camera.PinholeCameraIntrinsic(*frame.size[::-1], *focal_and_center)

@@ -96,14 +96,14 @@ class TestSameLabels:
     @pytest.mark.slow
     def test_from_frames_beyond_the_memory(self, synthetic, plain, tmp_path):
         """The second and later frames are in a file: of a run at once, frame by frame, resumed, and at finer levels."""
-        scene, memory = synthetic.scene, {"memory": "400kB", "spill": tmp_path}
+        scene, memory = synthetic.scene, {"memory": "400kB", "offload": tmp_path}
         checkpoint = Checkpoint(tmp_path / "state", "key")
         segmenter = tj.JointSegmenter(CONFIG, **memory)
-        spilled = run(segmenter, scene, checkpoint)
+        offloaded = run(segmenter, scene, checkpoint)
         assert 0 < segmenter.state.observations._in_memory < 400_000
-        assert_same(plain, spilled)
-        assert_same(plain.at(0.9), spilled.at(0.9))
-        assert all(map(torch.equal, plain.initial_images, spilled.initial_images))
+        assert_same(plain, offloaded)
+        assert_same(plain.at(0.9), offloaded.at(0.9))
+        assert all(map(torch.equal, plain.initial_images, offloaded.initial_images))
         again = tj.JointSegmenter(CONFIG, **memory)
         assert_same(plain, run(again, scene, checkpoint))
         assert_same(plain, again.compute(config=CONFIG))
@@ -111,7 +111,7 @@ class TestSameLabels:
     def test_from_a_full_disk_with_room_made(self, synthetic, plain, tmp_path):
         """The frame that could not be written can be given again."""
         scene = synthetic.scene
-        segmenter = tj.JointSegmenter(CONFIG, memory=0, spill=tmp_path / "gone")
+        segmenter = tj.JointSegmenter(CONFIG, memory=0, offload=tmp_path / "gone")
         segmenter.reset(scene.points, scene.colors)
         with pytest.raises(OSError, match="memory: data beyond this limit go to a temporary file"):
             segmenter.update(scene.frames)

@@ -70,7 +70,7 @@ def prepare(
     return graph if of_given is None else graph.of(graph.local, graph.of_given[of_given]), method
 
 
-def developed(frame: Frame, graph: PointGraph | None = None) -> Frame:
+def brightened_frame(frame: Frame, graph: PointGraph | None = None) -> Frame:
     """The frame as all steps see it: brightened if it is dark, for method learned, whose graphs have scales."""
     if graph is not None and graph.scales is None:
         return frame
@@ -92,7 +92,7 @@ def observe(
         images: steps 1 and 2.
         stopwatch: records the seconds of the steps.
     """
-    frames = parallel_map(lambda frame: developed(frame, graph), frames)
+    frames = parallel_map(lambda frame: brightened_frame(frame, graph), frames)
     batches = [list(batch) for _, batch in groupby(frames, key=lambda frame: frame.size)]
     segments = [of_frame for batch in batches for of_frame in images(batch, stopwatch)]
     pairs = list(zip(frames, segments, strict=True))
@@ -123,7 +123,7 @@ class JointSegmenter(nn.Module):
         memory: largest memory of the frames' evidence for steps 6-8: "2GB", "500 MiB", or bytes. The rest is packed to
             a temporary file. The labels do not depend on it. Default: a quarter of the memory of the machine or
             container.
-        spill: folder of the temporary file; default: TMPDIR, or /var/tmp. The file has no name, and the system removes
+        offload: folder of the temporary file; default: TMPDIR or /var/tmp. The file has no name, and the system removes
             it when the process ends.
         allow_import: import the code that the config names (``boundary.detector=package.module:Class``). Do not allow
             it for a config that came from others, such as that of their result.
@@ -146,7 +146,7 @@ class JointSegmenter(nn.Module):
         merge_within: float = 0.0,
         granularity: float = 0.5,
         memory: int | str | None = None,
-        spill: str | Path | None = None,
+        offload: str | Path | None = None,
         allow_import: bool = False,
     ) -> None:
         super().__init__()
@@ -161,7 +161,7 @@ class JointSegmenter(nn.Module):
             raise ValueError(f"merge_within: expected metres >= 0, got {merge_within}")
         self.merge_within, self.granularity = merge_within, granularity
         self._memory = as_bytes(memory)
-        self._spill = None if spill is None else Path(spill)
+        self._offload = None if offload is None else Path(offload)
         self.config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter, allow_import)
         self.stopwatch = Stopwatch()
@@ -263,7 +263,7 @@ class JointSegmenter(nn.Module):
         if done < len(scene.frames) and not self.method.uses_images:
             if done not in checked:
                 checked[done] = scene.frames[done]
-            _tell_unused(checked[done], self.method)
+            _warn_of_unused_inputs(checked[done], self.method)
         return checked
 
     def _batches(
@@ -317,7 +317,7 @@ class JointSegmenter(nn.Module):
         self._check = None
 
     def _store(self) -> Observations:
-        return Observations(budget=self._memory, folder=self._spill)
+        return Observations(budget=self._memory, folder=self._offload)
 
     @torch.no_grad()
     @on_cpu()
@@ -329,7 +329,7 @@ class JointSegmenter(nn.Module):
         Raises:
             RuntimeError: :meth:`reset` was not called before.
             ValueError: a boundary detector or an image segmenter returns a wrong shape or bad values.
-            OSError: the temporary file (see `spill`) cannot be written. All of the frames are added, or none.
+            OSError: the temporary file (see `offload`) cannot be written. All of the frames are added, or none.
 
         Warns:
             PoseWarning: the poses or intrinsics look wrong. It comes after some frames, or in :meth:`compute`.
@@ -338,7 +338,7 @@ class JointSegmenter(nn.Module):
         self._check = self._check or self._new_check()
         self._check.look_as_they_come(frames)
         if not self.state.observations and frames and not self.method.uses_images:
-            _tell_unused(frames[0], self.method)
+            _warn_of_unused_inputs(frames[0], self.method)
         self.state += self._observed(frames)
 
     def _observed(self, frames: Sequence[Frame]) -> list[FrameEvidence]:
@@ -457,7 +457,7 @@ class JointSegmenter(nn.Module):
         return PoseCheck(Cloud(graph.points, graph.colors), graph.spacing, self.config.visibility, graph.local, name)
 
 
-def _tell_unused(frame: Frame, method: Method) -> None:
+def _warn_of_unused_inputs(frame: Frame, method: Method) -> None:
     """Logs that images do not affect the segments of the points; warns if frames have masks or labels for this."""
     name = method.name
     logger.info(f"frames: method {name} segments the points without images; images only get the points' labels")

@@ -38,8 +38,8 @@ from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
 
 
-def one_tree(draws: Sequence[PieceGraph], model: Any) -> Hierarchy:
-    return build_hierarchy(draws[0], model)
+def one_tree(copies: Sequence[PieceGraph], model: Any) -> Hierarchy:
+    return build_hierarchy(copies[0], model)
 
 
 def nothing_joined(*of: Any) -> None:
@@ -55,7 +55,7 @@ COLORLESS = ("colours of the images, not of the cloud", "no colours")
 #: What replaces what: module, name, other value. Those in COLORLESS also take the colours of the cloud away.
 STEPS: dict[str, tuple[tuple[Any, str, Any], ...]] = {
     "default": (),
-    "one draw of the surface, not three": ((method, "DRAWS", 1),),
+    "one copy of the surface, not three": ((method, "COPIES", 1),),
     "one tree, not fifteen": ((method, "build_consensus", one_tree),),
     "judges without noise": ((consensus, "NOISE", 0.0),),
     "surfaces behind nearer things not joined": ((pieces, "find_occlusions", nothing_joined),),

@@ -201,7 +201,7 @@ class TestWeight0:
         """As with no frames at all, once the normals' signs are known."""
         config, graph, state = case
         config = config.set(["region_costs.weight=0", "occlusion_bridging.min_votes=1"])
-        monkeypatch.setattr(occlusion_bridging, "SHARE", 0)
+        monkeypatch.setattr(occlusion_bridging, "AGREEING_SHARE", 0)
         monkeypatch.setattr(occlusion_bridging, "FLATNESS", 1)
         blind = Evidence.empty(graph)
         blind.facing = state.facing

@@ -2,7 +2,7 @@
 
 import pytest
 
-from torchjoint.runtime.memory import SHARE, as_bytes, available_memory
+from torchjoint.runtime.memory import SHARE_OF_MEMORY, as_bytes, available_memory
 
 
 @pytest.mark.parametrize(
@@ -19,7 +19,7 @@ def test_no_sizes(wrong):
 
 
 def test_the_default_is_a_share():
-    assert as_bytes(None) == int(SHARE * available_memory())
+    assert as_bytes(None) == int(SHARE_OF_MEMORY * available_memory())
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The confidence that follows from the votes of judges."""
+"""The confidence that follows from the votes of members."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def by_hand(votes, of_piece):
     of_segment, of_piece_ = {}, [0.0] * len(points)
     for number in sorted(set(of_piece)):
         own, ious, partners = segment(of_piece, number), [], []
-        for judge in votes.segments.tolist():
+        for member in votes.segments.tolist():
             found = [
-                (len(own & other) / len(own | other), -k) for k in sorted(set(judge)) for other in [segment(judge, k)]
+                (len(own & other) / len(own | other), -k) for k in sorted(set(member)) for other in [segment(member, k)]
             ]
             iou, partner = max(found)
             ious.append(iou)
@@ -39,7 +39,7 @@ def by_hand(votes, of_piece):
         of_segment[number] = 1 / (1 + math.exp(-log_odds))
         for piece in range(len(points)):
             if of_piece[piece] == number:
-                there = [judge[piece] == one for judge, one in zip(votes.segments.tolist(), partners, strict=True)]
+                there = [member[piece] == one for member, one in zip(votes.segments.tolist(), partners, strict=True)]
                 of_piece_[piece] = of_segment[number] * sum(there) / len(there)
     return [of_segment[number] for number in sorted(of_segment)], of_piece_
 
@@ -48,10 +48,10 @@ def by_hand(votes, of_piece):
 def test_by_hand(data):
     count = data.draw(st.integers(1, 6))
     labels = st.lists(st.integers(0, count - 1), min_size=count, max_size=count)
-    judges = data.draw(st.lists(labels, min_size=1, max_size=4))
+    members = data.draw(st.lists(labels, min_size=1, max_size=4))
     size = data.draw(st.lists(st.integers(1, 5), min_size=count, max_size=count))
     of_piece = torch.unique(torch.tensor(data.draw(labels)), return_inverse=True)[1]
-    votes = Votes(torch.tensor(judges), torch.tensor(size))
+    votes = Votes(torch.tensor(members), torch.tensor(size))
     found, expected = votes.confidence(of_piece), by_hand(votes, of_piece.tolist())
     assert found.of_segment.tolist() == pytest.approx(expected[0])
     assert found.of_piece.tolist() == pytest.approx(expected[1])
@@ -77,14 +77,14 @@ def test_of_a_segmentation_and_its_levels():
     result = segmentation(Votes(torch.tensor([[0, 0, 1], [0, 1, 2]]), torch.tensor([100, 200, 300])))
     both, apart = result.confidence, result.at(1.0).confidence
     assert both.shape == (2,)
-    assert both[1] > both[0]  # the judges agree on the second segment
+    assert both[1] > both[0]  # the members agree on the second segment
     assert apart.shape == (3,)
     assert result.point_confidence.tolist() == pytest.approx(
         [float(both[0]) / 2, *[float(both[0])] * 2, float(both[1])]
     )
 
 
-def test_without_judges_there_is_none():
+def test_without_members_there_is_none():
     for result in (segmentation(None), tj.Segmentation(torch.zeros(3, dtype=torch.int64), ())):
         assert result.confidence is None
         assert result.point_confidence is None

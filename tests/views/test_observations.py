@@ -7,7 +7,7 @@ import pickle
 import pytest
 import torch
 
-from torchjoint.runtime import store as spill
+from torchjoint.runtime import store as offload
 from torchjoint.scene import Masks
 from torchjoint.views.observations import Observation, Observations, PackedObservation
 from torchjoint.views.visibility import Visible
@@ -94,7 +94,7 @@ def test_a_full_disk_adds_nothing(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(spill.os, "pwrite", full)
+    monkeypatch.setattr(offload.os, "pwrite", full)
     with pytest.raises(OSError, match="memory: data beyond this limit go to a temporary file, which cannot be written"):
         kept.extend(ALL[2:])
     monkeypatch.undo()

@@ -29,10 +29,10 @@ from torchjoint.scene.frame import CONVENTIONS, PoseWarning, camera_center
 from torchjoint.scene.scene import evenly_spaced_indices
 
 #: Depth beyond this, metres, is ignored: a depth camera's error grows with the square of the distance.
-FAR = 5.0
+MAX_DEPTH = 5.0
 
 #: Depth below this, metres, is no picture of a scene.
-NEAR = 0.05
+MIN_DEPTH = 0.05
 
 #: Number of depth images whose unit is checked.
 CHECKED = 6
@@ -102,7 +102,7 @@ def _fused(frames: Sequence[Frame], voxel_size: float, progress: bool | None) ->
     check_unit(frames)
     warn_of_poses(frames)
     origin = volume_origin(frames, voxel_size)
-    volume = Volume(voxel_size, FAR)
+    volume = Volume(voxel_size, MAX_DEPTH)
     fused = 0
     is_hidden = None if progress is None else not progress
     for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=is_hidden):
@@ -141,15 +141,16 @@ def check_unit(frames: Sequence[Frame]) -> None:
     """Checks some depth images before all are fused, which takes long."""
     chosen = (frames[index] for index in evenly_spaced_indices(len(frames), CHECKED))
     images = [frame.depth for frame in chosen if frame.depth is not None]
-    if not images or any(((image > NEAR) & (image < FAR)).any() for image in images):
+    if not images or any(((image > MIN_DEPTH) & (image < MAX_DEPTH)).any() for image in images):
         return
     measured = torch.cat([image[image > 0] for image in images])
     if not len(measured):
         raise ValueError(f"depth: expected metres, got {len(images)} images without a measured pixel")
     median = float(measured.median())
-    unit = "millimetres where metres are expected" if median >= FAR else "metres where the format has millimetres"
+    unit = "millimetres where metres are expected" if median >= MAX_DEPTH else "metres where the format has millimetres"
     raise ValueError(
-        f"depth: expected metres, mostly {NEAR:g} to {FAR:g}, got a median of {median:.4g} in {len(images)} images; "
+        f"depth: expected metres, mostly {MIN_DEPTH:g} to {MAX_DEPTH:g}, got a median of {median:.4g} "
+        f"in {len(images)} images; "
         f"these are probably {unit}"
     )
 

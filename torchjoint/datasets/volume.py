@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchjoint.ops.internal import CHANNELS, SIDE, UNIT, integrate_depth
 from torchjoint.runtime.groups import find
-from torchjoint.runtime.store import SpillFile
+from torchjoint.runtime.store import OffloadFile
 from torchjoint.runtime.threads import all_threads, parallel_map
 
 #: Most blocks of a volume: 5 GB.
@@ -45,7 +45,7 @@ class Volume:
         self._key = torch.zeros(0, dtype=torch.int64)  # [B] ascending: the blocks
         self._row = torch.zeros(0, dtype=torch.int64)  # [B] the row of each block in the sums
         self._sums = torch.zeros(0, SIDE**3, CHANNELS, dtype=torch.int32)
-        self._file: SpillFile | None = None
+        self._file: OffloadFile | None = None
         self._map: mmap.mmap | None = None  # of the sums, if they are in the file
         self._used = 0  # bytes of the map since it was dropped
 
@@ -139,7 +139,7 @@ class Volume:
             # NumPy's zeros take no memory before they are written; torch's do.
             grown = torch.from_numpy(np.zeros((length, *self._sums.shape[1:]), np.int32))
         else:
-            self._file = self._file or SpillFile()
+            self._file = self._file or OffloadFile()
             self._map = self._file.mapped(length * BLOCK)
             grown = torch.frombuffer(self._map, dtype=torch.int32).view(-1, *self._sums.shape[1:])
         grown[: len(self._sums)] = self._sums

@@ -21,7 +21,7 @@ VOTERS = 12
 
 #: A marker is tested only if another label is near: in its cell or in one of the 8 around it. This is the side of a
 #: cell, in mean distances between markers.
-NEAR = 3.0
+CELL_SIDE = 3.0
 
 
 def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]) -> Tensor:
@@ -63,7 +63,7 @@ def without_outvoted(markers: Tensor, colors: Tensor, color_weight: float) -> Te
     Returns:
         [H, W] int32.
     """
-    outvoted = outvoted_markers(markers, colors, color_weight, VOTERS, NEAR)
+    outvoted = outvoted_markers(markers, colors, color_weight, VOTERS, CELL_SIDE)
     return markers.masked_fill(outvoted, -1)
 
 

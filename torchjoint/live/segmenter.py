@@ -18,16 +18,16 @@ import torch
 from torch import Tensor, nn
 
 from torchjoint.config import Config
-from torchjoint.datasets.fusion import FAR, add_frame, check_unit, surface_cloud, volume_origin, warn_of_poses
+from torchjoint.datasets.fusion import MAX_DEPTH, add_frame, check_unit, surface_cloud, volume_origin, warn_of_poses
 from torchjoint.datasets.volume import Volume
 from torchjoint.images.segmenter import ImageSegmenter, ImageSegments
-from torchjoint.joint import developed, prepare
+from torchjoint.joint import brightened_frame, prepare
 from torchjoint.labels.label import label
 from torchjoint.labels.lasting_ids import Changes, LastingIds
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.memory import as_bytes, give_back
 from torchjoint.runtime.messages import Stopwatch
-from torchjoint.runtime.store import Packed, SpillFile, pack, read_values, write_values
+from torchjoint.runtime.store import OffloadFile, Packed, pack, read_values, write_values
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Masks, Segmentation
 from torchjoint.scene.checks import as_float, as_pose, check_shape
@@ -110,7 +110,7 @@ class Keyframe(NamedTuple):
         """Of the packed data."""
         return sum(len(part.data()) for part in self._parts().values())
 
-    def spilled(self, file: SpillFile) -> Keyframe:
+    def offloaded(self, file: OffloadFile) -> Keyframe:
         """The same, with its packed data in a file."""
         parts = self._parts()
         spans = file.write([part.data() for part in parts.values()])
@@ -237,13 +237,13 @@ class LiveSegmenter(nn.Module):
         self.keep_depth, self.memory = keep_depth, as_bytes(memory)
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
-        self._volume = Volume(voxel_size, FAR, self.memory)
+        self._volume = Volume(voxel_size, MAX_DEPTH, self.memory)
         self._origin: Tensor | None = None
         self._pose: Tensor | None = None  # of the last keyframe
         self._views: Counter[int] = Counter()  # the keyframes that see each block of the volume
         self._keyframes: list[Keyframe] = []
         self._in_memory = 0  # bytes of the keyframes
-        self._file: SpillFile | None = None  # what does not fit
+        self._file: OffloadFile | None = None  # what does not fit
         self._to_compare: list[Frame] | None = []  # None: they were compared
         self._ids = LastingIds()
         self._lock = threading.Lock()  # of the volume and the keyframes
@@ -279,9 +279,9 @@ class LiveSegmenter(nn.Module):
                 self._views.update(seen)
                 self._pose = frame.world_to_camera
                 self._compare(frame)
-                bright = developed(frame)
+                bright = brightened_frame(frame)
                 (segments,) = self.image_segmenter([bright], self.stopwatch)
-                self._keep(Keyframe.packed(frame, bright, segments, FAR if self.keep_depth else None))
+                self._keep(Keyframe.packed(frame, bright, segments, MAX_DEPTH if self.keep_depth else None))
 
     @torch.no_grad()
     @one_thread_per_operation()
@@ -343,7 +343,7 @@ class LiveSegmenter(nn.Module):
         poses = [as_pose(pose, f"world_to_camera[{index}]") for index, pose in enumerate(world_to_camera)]
         moved = [one._replace(world_to_camera=pose) for one, pose in zip(self._keyframes, poses, strict=True)]
         assert self._origin is not None
-        volume, views = Volume(self._volume.voxel_size, FAR, self.memory), Counter[int]()
+        volume, views = Volume(self._volume.voxel_size, MAX_DEPTH, self.memory), Counter[int]()
         with self.stopwatch("fusion"):
             for frame in filter(None, map(Keyframe.measured, moved)):
                 views.update(add_frame(volume, frame, self._origin).tolist())
@@ -408,8 +408,8 @@ class LiveSegmenter(nn.Module):
     def _keep(self, keyframe: Keyframe) -> None:
         size = keyframe.num_bytes
         if self._in_memory + size > self.memory:
-            self._file = self._file or SpillFile()
-            keyframe, size = keyframe.spilled(self._file), 0
+            self._file = self._file or OffloadFile()
+            keyframe, size = keyframe.offloaded(self._file), 0
             give_back()  # a tenth of a gigabyte that lies between the keyframes in memory
         self._keyframes.append(keyframe)
         self._in_memory += size

@@ -251,6 +251,31 @@ def mask_merges(
     return cast("tuple[Tensor, Tensor]", result)
 
 
+def average_linkage(
+    edge_index: Tensor, size: Tensor, in_segment: Tensor, segmentation: Tensor, threshold: float
+) -> tuple[Tensor, Tensor]:
+    """Repeatedly merge the two adjacent regions that the fewest of some segmentations have apart; list the merges.
+
+    The share of segmentations that have two regions apart is the mean over all pairs of points, one of each region.
+
+    Args:
+        edge_index, size: as those of :func:`mask_merges`.
+        in_segment: ``[3, I]`` int64: region, segment, number of the region's points in it.
+        segmentation: ``[S]`` int64, 0 ... K - 1, the segmentation of each segment. Each has all points.
+        threshold: largest share of two regions that merge.
+
+    Returns:
+        as :func:`mask_merges`, with the shares as costs.
+    """
+    # A segmentation is a frame that sees all points, and its segments are masks. The least prior changes nothing.
+    frames = torch.arange(int(segmentation.max()) + 1)
+    region = torch.arange(len(size))
+    in_frame = torch.stack([region.repeat(len(frames)), frames.repeat_interleave(len(size)), size.repeat(len(frames))])
+    prior, one = torch.zeros(edge_index.shape[1], dtype=torch.float32), torch.ones_like(edge_index[0])
+    masks = (in_segment, in_frame, torch.full_like(segmentation, WEIGHT_UNIT), segmentation)
+    return mask_merges(edge_index, prior, one, size, *masks, apart_weight=1.0, prior_weight=1e-9, threshold=threshold)
+
+
 # Step 6, method scan
 
 
@@ -324,7 +349,7 @@ def ground_heights(
     return cast(Tensor, call(torch.ops.torchjoint.ground_heights.default, *seen, num_columns, *numbers, sides))
 
 
-def something_rises(
+def has_points_above(
     column: Tensor, row: Tensor, height: Tensor, used: Tensor, which: Tensor, num_columns: int, num_rows: int,
     least: float, most: float,
 ) -> Tensor:  # fmt: skip
@@ -343,7 +368,7 @@ def something_rises(
     check_number("least", least, (int, float))
     check_number("most", most, (int, float))
     grid = (column, row, height, used, which, num_columns, num_rows)
-    return cast(Tensor, call(torch.ops.torchjoint.something_rises.default, *grid, least, most))
+    return cast(Tensor, call(torch.ops.torchjoint.has_points_above.default, *grid, least, most))
 
 
 # Steps 7 and 8
@@ -461,7 +486,7 @@ register_fakes(
     local_spacing=lambda _points, reach, *_: torch.empty_like(reach),
     gap_components=lambda points, *_: points.new_empty(len(points), dtype=torch.int64),
     ground_heights=lambda azimuth, *_: torch.empty_like(azimuth),
-    something_rises=lambda *grid: grid[4].new_empty(grid[4].shape, dtype=torch.bool),
+    has_points_above=lambda *grid: grid[4].new_empty(grid[4].shape, dtype=torch.bool),
     pair_counts=lambda _u, _v, pixel, *_: _pair_counts(pixel),
     segment_graphs=lambda labels, *_: _segment_graphs(labels),
     outvoted_markers=lambda markers, *_: markers.new_empty(markers.shape, dtype=torch.bool),

@@ -29,7 +29,7 @@ from torchjoint.runtime.messages import in_one_line, is_out_of_memory
 from torchjoint.runtime.outputs import lock
 
 #: Least time between two writes, seconds, and largest share of the time that writes may take.
-INTERVAL, SHARE = 5.0, 0.05
+INTERVAL, SHARE_OF_TIME = 5.0, 0.05
 
 _COLUMNS = ("scene", "points", "frames", "segments", "seconds", "peak_memory_mb", "warnings")
 
@@ -76,7 +76,7 @@ class Tables:
                 reason = in_one_line(error)
                 warnings.warn(f"{self.folder}: {SUMMARY} and {FAILURES} could not be written: {reason}", stacklevel=2)
         end = time.monotonic()
-        self._next = end + max(INTERVAL, (end - start) / SHARE)
+        self._next = end + max(INTERVAL, (end - start) / SHARE_OF_TIME)
 
     def _write(self) -> None:
         """Writes both tables; without failures it removes failures.csv."""

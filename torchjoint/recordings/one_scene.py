@@ -22,7 +22,7 @@ from torchjoint.runtime.outputs import BusyError
 
 #: If another worker writes the result: seconds between checks whether it is done, and longest wait, seconds. A worker
 #: that lost its connection continues for a while, although its scene was given to another worker.
-LOOK, PATIENCE = 1.0, 3600.0
+POLL_INTERVAL, PATIENCE = 1.0, 3600.0
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
             except BusyError:
                 if time.monotonic() > end:
                     raise
-                time.sleep(LOOK)
+                time.sleep(POLL_INTERVAL)
     told = tuple(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning)))
     return report_of(out, peak_memory(), told)
 

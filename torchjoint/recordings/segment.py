@@ -239,7 +239,7 @@ def segment_recording(
             scene = options.cut_down(scene)
         checkpoint = Checkpoint(partial / STATE / "frames", key)
         segmenter = JointSegmenter(
-            config, merge_within=options.merge_within, memory=memory, spill=partial / STATE, allow_import=allow_import
+            config, merge_within=options.merge_within, memory=memory, offload=partial / STATE, allow_import=allow_import
         )
         with clock("segment"), nullcontext() if options.ignore_poses else _poses_must_fit():
             result = run(segmenter, scene, checkpoint, engine=engine, watch=watch, progress=progress)

@@ -23,7 +23,7 @@ from torchjoint.views.observations import Observations, PackedObservation
 INTERVAL = 20.0
 
 #: Saves may take this share of the time: a small state is saved after each batch, a large one every INTERVAL seconds.
-SHARE = 0.05
+SHARE_OF_TIME = 0.05
 
 #: Version of the files.
 FORMAT = 5
@@ -83,7 +83,7 @@ class Checkpoint:
         sums = {name: value for name, value in vars(state).items() if name != "observations"}
         write_values(self.directory / "sums.pt", sums | {"count": self._saved})
         end = time.monotonic()
-        self._next_save = end + min(INTERVAL, (end - start) / SHARE)
+        self._next_save = end + min(INTERVAL, (end - start) / SHARE_OF_TIME)
 
     def _file(self, index: int) -> Path:
         return self.directory / f"observation-{index:06d}.pt"

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchjoint.datasets.files.readers import read_image
 from torchjoint.results.figures import overlay
 from torchjoint.results.manifest import Check, unchecked
-from torchjoint.results.mask_report import MaskFates, compare_masks, write_mask_report
+from torchjoint.results.mask_report import MaskMatches, compare_masks, write_mask_report
 from torchjoint.runtime.files import file_name, frame_files, write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
 from torchjoint.runtime.threads import LazySequence, parallel_map
@@ -44,7 +44,7 @@ def write_inputs(folder: Path, scene: Scene, result: Segmentation) -> None:
         (folder / part).mkdir()
     num_point_segments, files = result.num_point_segments, frame_files(result.names)
 
-    def write(index: int) -> tuple[dict[str, Any], MaskFates | None]:
+    def write(index: int) -> tuple[dict[str, Any], MaskMatches | None]:
         frame, labels = scene.frames[index], result.images[index]
         pixels = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0).contiguous()
         _save(folder / INPUTS / f"{files[index]}.jpg", pixels)

@@ -111,7 +111,7 @@ HIERARCHY, PIECES = "hierarchy.npz", "pieces"
 PNG: dict[str, Any] = {"compress_level": 1, "compress_type": 3}
 #: Largest number of a piece in an image of pieces, which stores piece + 1 in three bytes; 0 = none.
 MAX_PIECE = 2**24 - 2
-#: Names of the arrays of the votes. Results without judges have none.
+#: Names of the arrays of the votes. Results without members have none.
 _VOTES = ("votes", "piece_size")
 
 

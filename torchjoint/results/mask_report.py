@@ -25,7 +25,7 @@ FILE = "masks.json"
 FOUND = 0.5
 
 
-class MaskFates(NamedTuple):
+class MaskMatches(NamedTuple):
     """What became of the masks of one frame."""
 
     masks: list[dict[str, Any]]  #: a record for each mask
@@ -33,7 +33,7 @@ class MaskFates(NamedTuple):
     masked: Tensor  #: [S] those of them that lie in a mask
 
 
-def write_mask_report(folder: Path, names: Sequence[str], found: Sequence[MaskFates | None]) -> None:
+def write_mask_report(folder: Path, names: Sequence[str], found: Sequence[MaskMatches | None]) -> None:
     """Writes masks.json, unless no frame has masks.
 
     `frames` has, for each mask of a frame, its id, name and score, its segment with their IoU in the frame, and its
@@ -65,7 +65,7 @@ def write_mask_report(folder: Path, names: Sequence[str], found: Sequence[MaskFa
     write_text(folder / FILE, f'{{"frames": [\n{lines[0]}\n], "segments": [\n{lines[1]}\n]}}\n')
 
 
-def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskFates:
+def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskMatches:
     """Compares the masks of a frame with its final labels [H, W]; the first `num_segments` labels are of the cloud."""
     num_labels = max(int(labels.max()) + 1, num_segments)
     of_pixel = labels.flatten() + 1  # 0: none
@@ -92,7 +92,7 @@ def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskFates:
                 "pixels": area,
             }
         )
-    return MaskFates(records, pixels[1 : num_segments + 1], covered[1 : num_segments + 1])
+    return MaskMatches(records, pixels[1 : num_segments + 1], covered[1 : num_segments + 1])
 
 
 def count_masks(folder: Path) -> tuple[int, int] | None:

@@ -45,7 +45,7 @@ GAP, BESIDE = 0.3, 0.3
 #: Of the lowest points of such a thing, at most so many are used.
 FEET = 20
 #: One thing contains another if its box holds this share of the other's points, and is so many times as large.
-HELD, LARGER = 0.95, 3.0
+CONTAINED_SHARE, LARGER = 0.95, 3.0
 
 
 @dataclass(frozen=True)
@@ -243,6 +243,6 @@ def _contained(points: Array, cloud: _Cloud, vertical: Array) -> list[Relation]:
                 continue
             at = (points[cloud.members[inner]] - box.center) @ box.axes.T
             share = float((np.abs(at) <= box.size / 2).all(1).mean())
-            if share >= HELD:
+            if share >= CONTAINED_SHARE:
                 found.append(Relation("contains", outer, inner, 0.0, share))
     return found

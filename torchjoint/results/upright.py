@@ -16,9 +16,9 @@ from torchjoint.scene import Scene
 
 #: Number of points that are used, evenly selected: enough to find a floor.
 SAMPLED = 20_000
-#: A plane is searched within NEAR degrees of the poses' upward direction if the cameras turned: the poses determine it
-#: well. If all cameras look one way, it is wrong by their downward tilt, and the limit is FAR degrees.
-NEAR, FAR = 20.0, 55.0
+#: A plane is searched within so many degrees of the poses' upward direction if the cameras turned: the poses determine
+#: it well. If all cameras look one way, it is wrong by their downward tilt, and the limit is wide.
+SEARCH_ANGLE, WIDE_SEARCH_ANGLE = 20.0, 55.0
 #: The normals of a plane's points differ from the plane's normal by at most this angle, degrees.
 FLAT = 8.0
 #: A plane counts if it has at least this share of the points.
@@ -44,7 +44,7 @@ def up_direction(scene: Scene) -> Tensor:
 def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     """The upward direction according to the poses, and its largest error in degrees."""
     if not len(scene.frames):
-        return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), NEAR
+        return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), SEARCH_ANGLE
     count = min(32, len(scene.frames))
     chosen = torch.linspace(0, len(scene.frames) - 1, count, dtype=torch.float32).long().tolist()
     rotations = torch.stack([scene.frames[i].world_to_camera[:3, :3] for i in chosen])
@@ -56,7 +56,7 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     side = float(up @ mean)
     if abs(side) < 1e-6:  # cameras that were rolled in all directions
         side = float(up[up.abs().argmax()])
-    return (up if side > 0 else -up), NEAR if float(values[1]) > 0.05 else FAR
+    return (up if side > 0 else -up), SEARCH_ANGLE if float(values[1]) > 0.05 else WIDE_SEARCH_ANGLE
 
 
 def _normals(points: Tensor) -> Tensor:

@@ -50,21 +50,21 @@ def peak_memory() -> float | None:
 
 
 #: Default limit, as a share of the memory.
-SHARE = 0.25
+SHARE_OF_MEMORY = 0.25
 
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _SIZE = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([kmgt]i?)?b?\s*", re.IGNORECASE)
 
 
 def as_bytes(memory: int | str | None, name: str = "memory") -> int:
-    """Converts a size to bytes: "2GB" (10^9), "500 MiB" (2^20) or a number; None: SHARE of the memory.
+    """Converts a size to bytes: "2GB" (10^9), "500 MiB" (2^20) or a number; None: SHARE_OF_MEMORY of the memory.
 
     Example:
         >>> as_bytes("2GB"), as_bytes("1.5 KiB"), as_bytes(0)
         (2000000000, 1536, 0)
     """
     if memory is None:
-        return int(SHARE * available_memory())
+        return int(SHARE_OF_MEMORY * available_memory())
     match = _SIZE.fullmatch(memory) if isinstance(memory, str) else None
     if match is not None:
         return int(float(match[1]) * _UNITS[(match[2] or "").lower()])

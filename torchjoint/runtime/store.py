@@ -134,9 +134,9 @@ ZEROS = 1 << 20
 
 
 class Span:
-    """A range of bytes in a :class:`SpillFile`, which exists as long as its spans. Pickling makes it plain bytes."""
+    """A range of bytes in a :class:`OffloadFile`, which exists as long as its spans. Pickling makes it plain bytes."""
 
-    def __init__(self, file: SpillFile, start: int, size: int) -> None:
+    def __init__(self, file: OffloadFile, start: int, size: int) -> None:
         self._file, self._start, self._size = file, start, size
 
     def read(self) -> bytes:
@@ -147,7 +147,7 @@ class Span:
         return bytes, (self.read(),)
 
 
-class SpillFile:
+class OffloadFile:
     """Keeps bytes on disk until their last span is deleted. Several threads may read.
 
     Args:
@@ -207,7 +207,7 @@ class SpillFile:
         return OSError(
             error.errno,
             f"memory: data beyond this limit go to a temporary file, which cannot be written ({error.strerror}); free "
-            "disk space, or give another folder (spill=, or the variable TMPDIR) or more memory (memory=)",
+            "disk space, or give another folder (offload=, or the variable TMPDIR) or more memory (memory=)",
             str(self.folder),
         )
 

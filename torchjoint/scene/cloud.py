@@ -52,7 +52,7 @@ class Cloud:
         colors, normals = (None if of is None else of.index_select(0, chosen) for of in (self.colors, self.normals))
         return Cloud(self.points.index_select(0, chosen), colors, normals)
 
-    def with_telling_colors(self) -> Cloud:
+    def without_constant_colors(self) -> Cloud:
         """The cloud without its colours if they are all equal, as many programs write them for a cloud without colours.
 
         Equal colours would tell the model that no boundary has a colour step, and the check of poses that no pose fits.

@@ -1,6 +1,6 @@
 """The levels of a segmentation: a tree of merges, from small pieces to connected parts of the cloud.
 
-The votes of the judges tell how sure a segment is.
+The votes of the members tell how sure a segment is.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torchjoint import ops
 from torchjoint.runtime.groups import numbers_by_first_place, with_none
 from torchjoint.runtime.threads import one_thread_per_operation
 
-#: Log odds that a segment is an object: an offset; a factor of the mean IoU with the judges' segments; and a factor of
+#: Log odds that a segment is an object: an offset; a factor of the mean IoU with the members' segments; and a factor of
 #: the logarithm of its number of points. ``lab/studies/confidence.py`` fits them, and tests them on kinds left out.
 OFFSET, PER_IOU, PER_LOG_POINTS = -4.775, 2.504, 0.5272
 
@@ -30,17 +30,17 @@ class Confidence(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """How far the judges agree with S segments, which consist of P pieces."""
+    """How far the members agree with S segments, which consist of P pieces."""
 
-    iou: Tensor  #: [S] float64, mean over the judges
+    iou: Tensor  #: [S] float64, mean over the members
     points: Tensor  #: [S] float64, number of distinct points
-    share: Tensor  #: [P] float64, share of the judges whose segment has the piece, too
+    share: Tensor  #: [P] float64, share of the members whose segment has the piece, too
 
 
 class Votes(NamedTuple):
-    """The segments of each of T judges, who segmented the same P pieces."""
+    """The segments of each of T members, who segmented the same P pieces."""
 
-    segments: Tensor  #: [T, P] int64, for each judge the segment of each piece, 0, 1, ...
+    segments: Tensor  #: [T, P] int64, for each member the segment of each piece, 0, 1, ...
     size: Tensor  #: [P] int64, distinct points of each piece
 
     def renumbered(self, number: Tensor) -> Votes:
@@ -56,30 +56,30 @@ class Votes(NamedTuple):
         return Confidence(of_segment, of_segment[of_piece] * share)
 
     def agreement(self, of_piece: Tensor) -> Agreement:
-        """How far the judges agree with any segments of the pieces, [P] int64 with numbers 0 ... S - 1.
+        """How far the members agree with any segments of the pieces, [P] int64 with numbers 0 ... S - 1.
 
-        For each judge, a segment is compared with that segment of the judge which has the highest IoU with it.
+        For each member, a segment is compared with that segment of the member which has the highest IoU with it.
         """
         count = int(of_piece.max()) + 1
         points = _sums(of_piece, self.size, count)
         iou, share = torch.zeros(count, dtype=torch.float64), torch.zeros(len(of_piece), dtype=torch.float64)
-        for judge in self.segments:
-            best, partner = _best_partners(of_piece, judge, self.size, points)
+        for member in self.segments:
+            best, partner = _best_partners(of_piece, member, self.size, points)
             iou += best / len(self.segments)
-            share += (judge == partner[of_piece]).double() / len(self.segments)
+            share += (member == partner[of_piece]).double() / len(self.segments)
         return Agreement(iou, points, share)
 
 
-def _best_partners(of_piece: Tensor, judge: Tensor, size: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """For each segment the highest IoU with one of the judge's segments, [S] float64, and the number of that one."""
-    num_judged = int(judge.max()) + 1
-    pair, of_pair = torch.unique(of_piece * num_judged + judge, return_inverse=True)
+def _best_partners(of_piece: Tensor, member: Tensor, size: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    """For each segment the highest IoU with one of the member's segments, [S] float64, and the number of that one."""
+    num_theirs = int(member.max()) + 1
+    pair, of_pair = torch.unique(of_piece * num_theirs + member, return_inverse=True)
     common = _sums(of_pair, size, len(pair))
-    segment, other = pair // num_judged, pair % num_judged
-    iou = common / (points[segment] + _sums(judge, size, num_judged)[other] - common).clamp(min=1)
+    segment, other = pair // num_theirs, pair % num_theirs
+    iou = common / (points[segment] + _sums(member, size, num_theirs)[other] - common).clamp(min=1)
     best = torch.zeros_like(points).scatter_reduce_(0, segment, iou, "amax")
     wins = iou == best[segment]  # of equally good ones the lowest
-    none = torch.full((len(points),), num_judged)
+    none = torch.full((len(points),), num_theirs)
     return best, none.scatter_reduce_(0, segment[wins], other[wins], "amin")
 
 
@@ -98,11 +98,11 @@ class Hierarchy:
         piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance; -1 = none, as of beams without
             return.
         merges: [M, 2] int64, M < P: two pieces; a merge joins the two segments that contain them.
-        heights: [M] float64 in [0, 1]: up to what probability of a boundary regions must merge, until most judges have
+        heights: [M] float64 in [0, 1]: up to what probability of a boundary regions must merge, until most members have
             the two segments together; of a LiDAR scan, how large a gap joins them. It is at least the height of each
             merge inside them.
         default: height of the default level.
-        votes: the segments of each judge at the default level; None: there were no judges.
+        votes: the segments of each member at the default level; None: there were no members.
 
     Raises:
         TypeError, ValueError: naming the attribute, what was expected and what came.

@@ -111,7 +111,7 @@ class Segmentation:
         """How sure each segment of the cloud is: [num_point_segments] float64 in [0, 1].
 
         It is the probability that the segment has an IoU of at least .5 with an object. It follows from how far the
-        judges of method learned agree; with masks there are three, and it is not calibrated. None: no judges.
+        members of method learned agree; with masks there are three, and it is not calibrated. None: no members.
         """
         return None if self._confidence is None else self._confidence.of_segment
 
@@ -119,7 +119,7 @@ class Segmentation:
     def point_confidence(self) -> Tensor | None:
         """How sure the label of each point is, [N] float64 in [0, 1]; None: as :attr:`confidence`.
 
-        It is the probability that the point's segment is an object, times the share of the judges that put the point
+        It is the probability that the point's segment is an object, times the share of the members that put the point
         there; 0 of points without a label.
         """
         if self._confidence is None or self.hierarchy is None:

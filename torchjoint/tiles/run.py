@@ -31,7 +31,7 @@ from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.outputs import SOURCE, check_no_input, lock, put, read_sealed, seen, settle, work_folder
 from torchjoint.tiles.plan import NARROWEST, plan_tiles, survey
 from torchjoint.tiles.stitching import stitch
-from torchjoint.tiles.tile import TileTask, point_type, read_own, read_shared, segment_tile, spill_points, tile_file
+from torchjoint.tiles.tile import TileTask, point_type, read_own, read_shared, segment_tile, split_points, tile_file
 
 #: The name of the new dimension.
 DIMENSION = "superpoint"
@@ -202,7 +202,7 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
         plan = plan_tiles(found, tile, width, MOST_POINTS)
         _check_disk(work, found.num_points, found.whites is not None)
         with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=hidden) as bar:
-            spill_points(files, found, plan, folder, bar.update)
+            split_points(files, found, plan, folder, bar.update)
         with atomic_write(marker) as partial:
             np.savez(
                 partial,

@@ -34,7 +34,7 @@ def tile_file(folder: Path, number: int) -> Path:
     return folder / f"{number:06d}.points"
 
 
-def spill_points(
+def split_points(
     files: Sequence[Path], survey: Survey, plan: Plan, folder: Path, progress: Callable[[int], object]
 ) -> None:
     """Writes the points of all tiles; only one part of the cloud is in memory at a time.

@@ -73,7 +73,7 @@ class GrowingView:
 
 
 #: Largest share of a run's time for the labels so far, after the page has opened and shown the first frames.
-SHARE = 0.1
+SHARE_OF_TIME = 0.1
 
 
 class LiveView:
@@ -91,7 +91,7 @@ class LiveView:
         self,
         on_open: Callable[[str], object] = print,
         *,
-        share: float = SHARE,
+        share: float = SHARE_OF_TIME,
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:

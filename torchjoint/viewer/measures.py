@@ -28,7 +28,7 @@ class Row:
     points: int
     size: tuple[float, float, float]  #: metres, of its upright box
     frames: int | None  #: number of frames that see it; None before all frames were read, and without frames
-    sure: float | None  #: probability that it is an object; None: no judges
+    sure: float | None  #: probability that it is an object; None: no members
 
 
 class Measures:
@@ -118,7 +118,7 @@ class Measures:
 
     @cached_property
     def confidence(self) -> Confidence | None:
-        """That the segments, in ascending order, are objects; None: no judges."""
+        """That the segments, in ascending order, are objects; None: no members."""
         hierarchy = self._parts.result.hierarchy
         votes = None if hierarchy is None else hierarchy.votes
         return None if votes is None else votes.confidence(torch.from_numpy(self._number))

@@ -84,7 +84,7 @@ def _truth_image(result: Result, index: int) -> Table:
 
 def _confidence_colors(model: Model) -> torch.Tensor:
     if (sure := model.measures.confidence) is None:
-        raise ValueError("confidence: expected a result with the votes of judges, got none")
+        raise ValueError("confidence: expected a result with the votes of members, got none")
     from matplotlib import colormaps
 
     return torch.from_numpy(colormaps["viridis"](sure.of_piece.numpy())[:, :3])

@@ -24,7 +24,7 @@ from torchjoint.scene.scene import evenly_spaced_indices
 from torchjoint.viewer.model import Bytes
 
 #: Largest number of cameras that are drawn; more would hide the cloud.
-MOST = 60
+MAX_CAMERAS = 60
 #: Largest number of points that determine the first view, and its distance in that from which the cloud just fits.
 MOST_FITTED, MARGIN = 20_000, 1.05
 
@@ -99,7 +99,7 @@ class Cameras:
     def __init__(self, server: Any, scene: Scene, size: float) -> None:
         self._server, self._frames, self._size = server, scene.frames, size
         self._is_visible = False
-        shown = evenly_spaced_indices(len(scene.frames), MOST)
+        shown = evenly_spaced_indices(len(scene.frames), MAX_CAMERAS)
         self._handles = [self._add(f"/cameras/{index}", index, size, (90, 90, 90)) for index in shown]
 
     def mark(self, index: int) -> None:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.memory import give_back
-from torchjoint.runtime.store import Packed, SpillFile, pack
+from torchjoint.runtime.store import OffloadFile, Packed, pack
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Masks
 from torchjoint.views.visibility import Visible
@@ -132,7 +132,7 @@ class PackedObservation:
         return "mask_pairs" in self.parts
 
     @property
-    def is_spilled(self) -> bool:
+    def is_offloaded(self) -> bool:
         """Whether the packed tensors are in a file."""
         return not any(isinstance(part.content, bytes) for part in self.parts.values())
 
@@ -212,7 +212,7 @@ class Observations(Sequence[Observation]):
     Args:
         observations: observations to start with.
         budget: bytes that the observations may take in memory; None: no limit.
-        folder: folder of the file, see :class:`~torchjoint.runtime.store.SpillFile`.
+        folder: folder of the file, see :class:`~torchjoint.runtime.store.OffloadFile`.
     """
 
     def __init__(
@@ -225,14 +225,14 @@ class Observations(Sequence[Observation]):
         self._budget, self._folder = budget, folder
         self._records: list[Observation | PackedObservation] = []
         self._in_memory = 0
-        self._file: SpillFile | None = None
+        self._file: OffloadFile | None = None
         self.extend(observations)
 
     def extend(self, observations: Iterable[Observation | PackedObservation]) -> None:
         """Adds observations, all or none."""
         records, in_memory, beyond = list(observations), self._in_memory, []
         for index, record in enumerate(records):
-            if isinstance(record, PackedObservation) and record.is_spilled:
+            if isinstance(record, PackedObservation) and record.is_offloaded:
                 continue
             size = record.num_bytes
             if self._budget is None or in_memory + size <= self._budget:
@@ -241,17 +241,17 @@ class Observations(Sequence[Observation]):
             else:
                 beyond.append(index)
         packed = parallel_map(_packed, [records[index] for index in beyond])
-        for index, spilled in zip(beyond, self._spill(packed), strict=True):
-            records[index] = spilled
+        for index, offloaded in zip(beyond, self._offload(packed), strict=True):
+            records[index] = offloaded
         self._records += records
         self._in_memory = in_memory
 
-    def _spill(self, packed: Sequence[PackedObservation]) -> list[PackedObservation]:
+    def _offload(self, packed: Sequence[PackedObservation]) -> list[PackedObservation]:
         """The same observations, with their bytes in the file."""
         if not packed:
             return []
         if self._file is None:
-            self._file = SpillFile(self._folder)
+            self._file = OffloadFile(self._folder)
         spans = iter(self._file.write([part.data() for one in packed for part in one.parts.values()]))
         give_back()  # otherwise the peak memory of a long recording is some tenths of a gigabyte higher
         return [

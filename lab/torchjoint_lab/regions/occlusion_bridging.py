@@ -26,7 +26,7 @@ SAME_DIRECTION = 0.9
 #: Smallest length of a run that counts, in grid cells.
 MIN_RUN = 2
 #: Smallest share of the lines across an occluder on which the plane continues: the majority decides.
-SHARE = 0.5
+AGREEING_SHARE = 0.5
 #: Side of the grid cells along which lines run, pixels: about the distance between neighbouring points in the image.
 #: Smaller cells stay empty, larger ones miss thin occluders.
 CELL = 4
@@ -71,7 +71,7 @@ def bridge(
     goes_on = torch.cat([votes_for for _, votes_for in votes])
     num_lines = torch.bincount(of_pair, minlength=len(pairs))
     num_votes = torch.bincount(of_pair[goes_on], minlength=len(pairs))
-    joined = pairs[(num_votes >= config.min_votes) & (num_votes >= SHARE * num_lines.double())]
+    joined = pairs[(num_votes >= config.min_votes) & (num_votes >= AGREEING_SHARE * num_lines.double())]
     ends = torch.stack([joined // num_segments, joined % num_segments])
     return ops.connected_components(ends, num_segments)[point_labels]
 

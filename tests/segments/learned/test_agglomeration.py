@@ -21,7 +21,7 @@ from torchjoint.segments.learned.agglomeration import (
 )
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.segments.learned.boundary_model import OF_IMAGES, PACKAGED, load_boundary_model
-from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
+from torchjoint.segments.learned.consensus import COPIES, build_consensus, jittered
 from torchjoint.segments.learned.method import segment
 from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.views.evidence import Evidence
@@ -179,9 +179,9 @@ class TestMethod:
 
     def test_is_the_consensus(self, segmenter, evidence):
         graph = segmenter.graph
-        others = [drawn_anew(graph, graph.scales, number) for number in range(1, DRAWS)]
-        draws = [evidence, *(build_piece_graph(other, graph.scales, segmenter.state) for other in others)]
-        hierarchy = build_consensus(draws, ByCrease(0.1, 0.2, 0.3))
+        others = [jittered(graph, graph.scales, number) for number in range(1, COPIES)]
+        copies = [evidence, *(build_piece_graph(other, graph.scales, segmenter.state) for other in others)]
+        hierarchy = build_consensus(copies, ByCrease(0.1, 0.2, 0.3))
         expected = hierarchy.transferred(segmenter.graph.of_given)[0].at()
         result = segmenter.compute()
         assert torch.equal(result.points, expected)

@@ -91,5 +91,16 @@ def test_groups_are_the_boundaries_of_all_their_edges():
         torch.testing.assert_close(found, torch.cat([first, second]))
 
 
+def test_histograms_of_many_boundaries_are_those_of_few(monkeypatch):
+    generator = torch.Generator().manual_seed(2)
+    pair, values = torch.randint(9, (300,), generator=generator), {"gap": torch.rand(300, generator=generator)}
+    kept = Boundaries.of(pair, 9, values)
+    monkeypatch.setattr("torchjoint.segments.learned.boundaries.MANY_BOUNDARIES", 8)
+    counted = Boundaries.of(pair, 9, values)
+    assert isinstance(kept.binned, dict)
+    assert not isinstance(counted.binned, dict)
+    assert all(map(torch.equal, columns(kept), columns(counted)))
+
+
 def columns(boundaries):
     return boundaries.num_edges, boundaries.averaged, *boundaries.binned.values()

@@ -16,10 +16,10 @@ from torchjoint.segments.learned.boundary_model import BoundaryModel, load_bound
 from torchjoint.segments.learned.consensus import (
     DEVIATION,
     NOISE,
-    Panel,
+    Ensemble,
     build_consensus,
-    drawn_anew,
-    segments_of_judges,
+    jittered,
+    segments_of_members,
     vote,
 )
 from torchjoint.segments.learned.pieces import build_piece_graph
@@ -90,28 +90,32 @@ class TestVote:
         assert sorted(found) == sorted(expected)
 
 
-class TestPanel:
+def asked(ensemble, values, member):
+    return ensemble.probabilities(member, 0, values, torch.arange(len(member)))
+
+
+class TestEnsemble:
     def test_who_says_what(self):
-        panel = Panel(BoundaryModel(tuple(Always(p) for p in (0.2, 0.4, 0.9))))
-        judge = torch.tensor([0, 1, 2, 6, 7, 8])
-        found = panel.probabilities(0, torch.zeros(6, 1), judge)
+        ensemble = Ensemble(BoundaryModel(tuple(Always(p) for p in (0.2, 0.4, 0.9))))
+        member = torch.tensor([0, 1, 2, 6, 7, 8])
+        found = asked(ensemble, torch.zeros(6, 1), member)
         assert found.tolist() == pytest.approx([0.2, 0.4, 0.9, 0.65, 0.55, 0.3])
         silent = Silent(BoundaryModel(tuple(Always(p) for p in (0.2, 0.4, 0.9))))
-        assert silent.first_probabilities(torch.zeros(2, 1))[judge, 1].tolist() == pytest.approx(found)
+        assert silent.first_probabilities(torch.zeros(2, 1))[member, 1].tolist() == pytest.approx(found)
 
-    def test_a_share_of_the_judges(self):
-        panel = Panel(BoundaryModel(tuple(Always(p) for p in (0.2, 0.4, 0.9))), slice(2, None, 3))
-        found = panel.probabilities(0, torch.zeros(2, 1), torch.tensor([0, 2])).tolist()
+    def test_a_share_of_the_members(self):
+        ensemble = Ensemble(BoundaryModel(tuple(Always(p) for p in (0.2, 0.4, 0.9))), slice(2, None, 3))
+        found = asked(ensemble, torch.zeros(2, 1), torch.tensor([0, 2])).tolist()
         assert found == pytest.approx([0.9, 0.3])
-        assert panel.first_probabilities(torch.zeros(1, 1))[[0, 2], 0].tolist() == pytest.approx(found)
+        assert ensemble.first_probabilities(torch.zeros(1, 1))[[0, 2], 0].tolist() == pytest.approx(found)
 
     def test_the_only_member_judges_alone(self):
-        panel = Panel(BoundaryModel((Always(0.3),)))
-        assert panel.probabilities(0, torch.zeros(2, 1), torch.tensor([0, 2])).tolist() == pytest.approx([0.3, 0.3])
+        ensemble = Ensemble(BoundaryModel((Always(0.3),)))
+        assert asked(ensemble, torch.zeros(2, 1), torch.tensor([0, 2])).tolist() == pytest.approx([0.3, 0.3])
 
     def test_each_member_also_judges_with_noise(self):
-        panel = Panel(BoundaryModel(tuple(Always(p / 10) for p in range(1, 6))))
-        found = panel.probabilities(0, torch.zeros(15, 1), torch.arange(15))
+        ensemble = Ensemble(BoundaryModel(tuple(Always(p / 10) for p in range(1, 6))))
+        found = asked(ensemble, torch.zeros(15, 1), torch.arange(15))
         assert found[:5].tolist() == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
         odds = torch.logit(found[5:10]) - torch.logit(found[:5])
         assert 0 < odds.abs().min() < odds.abs().max() < NOISE * 3**0.5
@@ -119,10 +123,10 @@ class TestPanel:
 
     def test_noise_is_repeatable_and_limited(self):
         model = BoundaryModel((Always(0.5), Always(0.5)))
-        judge = torch.arange(6).repeat(1000)
-        one, same = (Panel(model).probabilities(0, torch.zeros(6000, 1), judge) for _ in range(2))
+        member = torch.arange(6).repeat(1000)
+        one, same = (asked(Ensemble(model), torch.zeros(6000, 1), member) for _ in range(2))
         assert torch.equal(one, same)
-        is_unsure = (judge == 2) | (judge == 3)
+        is_unsure = (member == 2) | (member == 3)
         assert (one[~is_unsure] == 0.5).all()
         odds = torch.logit(one[is_unsure])
         assert odds.std() == pytest.approx(NOISE, rel=0.05)
@@ -157,8 +161,8 @@ def evidence(segmenter):
     return build_piece_graph(graph, graph.scales, segmenter.state)
 
 
-class Silent(Panel):
-    """The panel without noise."""
+class Silent(Ensemble):
+    """The ensemble without noise."""
 
     def _disturbed(self, probability, is_unsure):
         return probability
@@ -166,43 +170,44 @@ class Silent(Panel):
 
 @pytest.fixture
 def silent(monkeypatch):
-    monkeypatch.setattr("torchjoint.segments.learned.consensus.Panel", Silent)
+    monkeypatch.setattr("torchjoint.segments.learned.consensus.Ensemble", Silent)
 
 
 class TestConsensus:
-    def test_trees_are_those_of_each_judge_by_itself(self, evidence, silent):
+    def test_trees_are_those_of_each_member_by_itself(self, evidence, silent):
         model = load_boundary_model()
-        _, levels, segments = segments_of_judges([evidence], model)
+        _, levels, segments = segments_of_members([evidence], model)
         assert levels == [0.075, 0.15, 0.2, 0.25, 0.3, 0.35, 0.425, 0.5, 0.6, 0.8, 0.9, 1.0]
-        for judge, members in ((1, [1]), (6, [1]), (14, [0, 1, 2, 3])):
+        for member, members in ((1, [1]), (6, [1]), (14, [0, 1, 2, 3])):
             alone = build_hierarchy(evidence, BoundaryModel(tuple(model.members[member] for member in members)))
-            for level, of_judges in zip(levels, segments, strict=True):
-                assert torch.equal(of_judges[judge], alone.segments_of_pieces(level))
+            for level, of_members in zip(levels, segments, strict=True):
+                assert torch.equal(of_members[member], alone.segments_of_pieces(level))
 
-    def test_each_draw_has_its_share_of_the_judges(self, evidence, silent):
+    def test_each_copy_has_its_share_of_the_members(self, evidence, silent):
         model = load_boundary_model()
-        _, _, expected = segments_of_judges([evidence], model)
-        _, _, segments = segments_of_judges([evidence, evidence], model)
+        _, _, expected = segments_of_members([evidence], model)
+        _, _, segments = segments_of_members([evidence, evidence], model)
         order = [*range(0, 15, 2), *range(1, 15, 2)]
-        for of_judges, alone in zip(segments, expected, strict=True):
-            assert all(torch.equal(one, alone[judge]) for one, judge in zip(of_judges, order, strict=True))
+        for of_members, alone in zip(segments, expected, strict=True):
+            assert all(torch.equal(one, alone[member]) for one, member in zip(of_members, order, strict=True))
 
-    def test_trees_made_draw_by_draw_are_the_same(self, evidence, monkeypatch):
+    def test_trees_made_copy_by_copy_are_the_same(self, evidence, monkeypatch):
         model = load_boundary_model()
-        _, _, expected = segments_of_judges([evidence] * 3, model)
+        _, _, expected = segments_of_members([evidence] * 3, model)
         monkeypatch.setattr("torchjoint.segments.learned.consensus.MANY_POINTS", 0)
-        _, _, found = segments_of_judges([evidence] * 3, model)
+        monkeypatch.setattr("torchjoint.segments.learned.consensus.MANY_BOUNDARIES", 0)  # nor all members at once
+        _, _, found = segments_of_members([evidence] * 3, model)
         for one, other in zip(expected, found, strict=True):
             assert all(map(torch.equal, one, other))
             assert len(one) == len(other) == 15
 
     def test_a_piece_is_where_most_of_its_points_are(self, evidence, segmenter, silent):
         graph, model = segmenter.graph, load_boundary_model()
-        other = build_piece_graph(drawn_anew(graph, graph.scales, 1), graph.scales, segmenter.state)
+        other = build_piece_graph(jittered(graph, graph.scales, 1), graph.scales, segmenter.state)
         assert not torch.equal(other.piece, evidence.piece)
-        _, _, segments = segments_of_judges([evidence, other], model)
-        _, _, own = segments_of_judges([other], model)
-        of_point = own[0][1][other.piece]  # judge 1 after the first step
+        _, _, segments = segments_of_members([evidence, other], model)
+        _, _, own = segments_of_members([other], model)
+        of_point = own[0][1][other.piece]  # member 1 after the first step
         for piece in range(len(evidence.statistics.size)):
             most = Counter(sorted(of_point[evidence.piece == piece].tolist())).most_common(1)
             assert int(segments[0][8][piece]) == most[0][0]  # of equally many the lowest comes first
@@ -214,7 +219,7 @@ class TestConsensus:
     @pytest.mark.parametrize("height", [0.5, 0.6])
     def test_a_level_has_together_what_most_trees_have(self, evidence, height):
         model = load_boundary_model()
-        _, levels, segments = segments_of_judges([evidence], model)
+        _, levels, segments = segments_of_members([evidence], model)
         of_piece = build_consensus([evidence], model).segments_of_pieces(height)
         a, b = evidence.pairs
         trees = torch.stack(segments[levels.index(height)])
@@ -259,30 +264,30 @@ class TestConsensus:
             assert torch.equal(again.heights, expected.heights)
 
 
-class TestDraws:
+class TestCopies:
     def test_points_move_and_normals_follow(self, segmenter):
         graph = segmenter.graph
-        draw = drawn_anew(graph, graph.scales, 1)
-        step = (draw.points - graph.points) / graph.scales.spacing[:, None]
+        copy = jittered(graph, graph.scales, 1)
+        step = (copy.points - graph.points) / graph.scales.spacing[:, None]
         assert step.std(0).tolist() == pytest.approx([DEVIATION] * 3, rel=0.1)
         assert step.abs().max() < DEVIATION * 3**0.5 * 1.01
         nearest = graph.neighbors[:, : graph.scales.normal_neighbors]
         some = torch.arange(0, graph.num_points, 97)
-        around = torch.cat([draw.points[some, None], draw.points[nearest[some].long()]], 1).double()
+        around = torch.cat([copy.points[some, None], copy.points[nearest[some].long()]], 1).double()
         centred = around - around.mean(1, keepdim=True)
         expected = torch.linalg.svd(centred).Vh[:, 2]
-        assert (expected * draw.normals[some]).sum(1).abs().min() > 1 - 1e-4
-        assert (draw.normals * graph.normals).sum(1).min() >= 0
-        assert not torch.equal(draw.wide_normals, graph.wide_normals)
-        assert draw.edge_index is graph.edge_index
+        assert (expected * copy.normals[some]).sum(1).abs().min() > 1 - 1e-4
+        assert (copy.normals * graph.normals).sum(1).min() >= 0
+        assert not torch.equal(copy.wide_normals, graph.wide_normals)
+        assert copy.edge_index is graph.edge_index
 
-    def test_equal_numbers_give_equal_draws(self, segmenter):
+    def test_equal_numbers_give_equal_copies(self, segmenter):
         graph = segmenter.graph
-        one, same, other = (drawn_anew(graph, graph.scales, number) for number in (1, 1, 2))
+        one, same, other = (jittered(graph, graph.scales, number) for number in (1, 1, 2))
         assert torch.equal(one.points, same.points)
         assert torch.equal(one.normals, same.normals)
         assert not torch.equal(one.points, other.points)
 
     def test_given_normals_stay(self, segmenter):
         graph = replace(segmenter.graph, has_given_normals=True)
-        assert drawn_anew(graph, graph.scales, 1).normals is graph.normals
+        assert jittered(graph, graph.scales, 1).normals is graph.normals

@@ -99,7 +99,7 @@ def test_parts_that_do_not_touch_join_in_one_mask() -> None:
 
 
 @pytest.mark.slow
-def test_only_crumbs_in_masks_join_their_neighbour() -> None:
+def test_only_small_regions_in_masks_join_their_neighbour() -> None:
     # Pieces: a wall, and three crumbs beside it, which one frame sees. A mask has the wall, the whole first crumb and
     # 4 of 10 points of the second; another mask has nearly only the third.
     size = torch.tensor([1000, 10, 10, 10])
@@ -107,7 +107,7 @@ def test_only_crumbs_in_masks_join_their_neighbour() -> None:
     in_frame = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 0], [500, 10, 10, 10]])
     masks = MaskCounts(in_mask, in_frame, torch.tensor([256, 256]), torch.tensor([0, 0]))
     ends = torch.tensor([[0, 0, 0], [1, 2, 3]])
-    joined, _ = MaskLinkage(masks, size).crumbs(torch.arange(4), ends, torch.ones(3), torch.ones(3).long())
+    joined, _ = MaskLinkage(masks, size).merges_of_small(torch.arange(4), ends, torch.ones(3), torch.ones(3).long())
     assert joined.tolist() == [[0], [1]]
 
 

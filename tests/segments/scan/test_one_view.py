@@ -17,7 +17,7 @@ from torchjoint.datasets import load_scene
 from torchjoint.scene import Scene
 from torchjoint.scene.scene import voxel_subsample
 from torchjoint.segments.method import choose_method
-from torchjoint.segments.scan.recognition import MOST, dependence_on_range, look_for_scan
+from torchjoint.segments.scan.recognition import MAX_DEPENDENCE, dependence_on_range, look_for_scan
 
 BOXES = (
     ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1)),
@@ -57,7 +57,7 @@ def sweeps(shared):
 def test_disturbed_scans_are_recognised(sweeps, name, disturbance):
     scene = DISTURBANCES[disturbance](Scene(sweeps[name]), torch.Generator().manual_seed(0)).scene
     if name != "nuscenes":  # a third of its points are on the car itself
-        assert dependence_on_range(scene.points) < MOST
+        assert dependence_on_range(scene.points) < MAX_DEPENDENCE
     assert look_for_scan(scene.points).is_scan
 
 

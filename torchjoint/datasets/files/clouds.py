@@ -25,7 +25,7 @@ from torchjoint.scene.checks import Beams, Invalid, kept_points
 COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
 
 #: Another row length is more plausible if it reduces the median step between points below this share.
-MUCH = 0.25
+LOWER_STEP = 0.25
 
 #: Files of rows, whose columns may have letters.
 LETTERED = (".npy", ".bin", *text_clouds.SUFFIXES)
@@ -135,7 +135,7 @@ def likelier_columns(rows: Tensor) -> int | None:
         step, size = (xyz[1:] - xyz[:-1]).norm(dim=1), (xyz - xyz.median(0).values).norm(dim=1)
         steps[columns] = float(step.median() / size.median()) if len(xyz) >= LEAST_ROWS and size.median() > 0 else 1.0
     best = min(steps, key=lambda columns: (steps[columns], columns))
-    return best if steps[best] < MUCH * steps[rows.shape[1]] else None
+    return best if steps[best] < LOWER_STEP * steps[rows.shape[1]] else None
 
 
 def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:

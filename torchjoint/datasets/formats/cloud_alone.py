@@ -24,7 +24,7 @@ WHAT = f"a point cloud or a mesh alone: {', '.join(SUFFIXES)}"
 #: A triangle is large if its longest edge is longer than this share of the mesh's diagonal.
 LARGE = 0.02
 #: Points are drawn if large triangles have more than this share of the area; this is the number of points.
-MUCH, SAMPLES = 0.1, 200_000
+LARGE_SHARE, SAMPLES = 0.1, 200_000
 #: Triangles agree on their outer side if this share of their edges runs the other way in a neighbouring triangle.
 AGREED = 0.9
 
@@ -51,7 +51,7 @@ def has_large_triangles(points: Tensor, faces: Tensor) -> bool:
     edges = (corners - corners.roll(1, 1)).norm(dim=2).amax(1)
     area = _areas(corners)
     diagonal = (points.double().amax(0) - points.double().amin(0)).norm()
-    return bool(area[edges > LARGE * diagonal].sum() > MUCH * area.sum())
+    return bool(area[edges > LARGE * diagonal].sum() > LARGE_SHARE * area.sum())
 
 
 def vertex_normals(points: Tensor, faces: Tensor) -> Tensor | None:

@@ -36,6 +36,10 @@ HEIGHT_STEP = 2.0**-20
 #: Says how probable it is that two regions belong to different objects, [B] float64: of the number of the round, the
 #: features of the boundaries [B, F], and a piece of one of the two regions of each boundary, [B] int64.
 Judge = Callable[[int, Tensor, Tensor], Tensor]
+#: The number of a round of the model, and the threshold up to which regions merge.
+Step = tuple[int, float]
+#: Merges regions; arguments and result as those of :meth:`~torchjoint.segments.learned.masks.MaskLinkage.merges`.
+Link = Callable[[Tensor, Tensor, Tensor, Tensor, float], tuple[Tensor, Tensor]]
 
 
 class Model(Protocol):
@@ -49,7 +53,7 @@ class Model(Protocol):
         """The probability [B] float64 that regions belong to different objects: of a round, and features [B, F]."""
 
 
-def merging_steps(thresholds: Sequence[float]) -> list[tuple[int, float]]:
+def merging_steps(thresholds: Sequence[float]) -> list[Step]:
     """The steps (round of the model, threshold) of the merging.
 
     Each round first merges up to half of the way to its threshold. Regions grow while they merge, and their
@@ -98,38 +102,40 @@ def build_hierarchy(pieces: PieceGraph, model: Model) -> Hierarchy:
         pieces: the pieces and what is known about their boundaries.
         model: gives the probability that two regions belong to different objects.
     """
-    return merge_pieces(pieces, model.thresholds, lambda number, values, _: model.probability(number, values))
+    steps = merging_steps(model.thresholds)
+    return merge_pieces(pieces, steps, lambda number, values, _: model.probability(number, values))
 
 
-def merge_pieces(pieces: PieceGraph, thresholds: Sequence[float], judge: Judge, begun: bool = False) -> Hierarchy:
-    """As :func:`build_hierarchy`, with any judge. If it has `begun`, the pieces are the state after the first step."""
+def merge_pieces(pieces: PieceGraph, steps: Sequence[Step], judge: Judge) -> Hierarchy:
+    """As :func:`build_hierarchy`, with any probabilities, and with these of the steps of :func:`merging_steps`."""
     merges, regions = Merges(len(pieces)), Regions.of_pieces(pieces)
-    linkage = MaskLinkage.of(pieces.masks, pieces.statistics.size)
-    steps = merging_steps(thresholds)
     last, highest = steps[-1]
-    default, *coarser = last_levels(thresholds, pieces)
-    if linkage is not None:  # a first merging, which shows how far the masks contradict each other
-        linkage = linkage.calibrated(_merge_in_steps(regions, judge, steps, linkage, Merges(len(pieces))).of_piece)
-    regions = _merge_in_steps(regions, judge, steps[1:] if begun else steps, linkage, merges)
-    if linkage is not None:
-        regions = _merge_in_steps(regions, judge, [(last, highest)], linkage, merges, far=True)
-        regions = _merge_in_steps(regions, judge, [(last, highest)], linkage, merges, only_crumbs=True)
-    elif regions.graph.occlusions is not None:
-        graph = regions.graph
-        pairs, against = continued_surfaces(regions.graph.occlusions, graph.statistics, graph.pairs)
-        joined, height = ops.region_dendrogram(pairs, against, len(graph), highest)
-        # At the height of the threshold, so all finer levels keep the regions apart.
-        merges.add(regions.of_piece, joined, torch.full_like(height, highest), highest)
-        regions = regions.merged(joined)
-    outlined = None if linkage is None else replace(linkage, keeps_outlines=True)
-    regions = _merge_in_steps(regions, judge, [(last, default)] if default > highest else [], outlined, merges)
-    if linkage is not None:
-        graph = regions.graph
-        size, stays = graph.statistics.size, linkage.confirmed(regions.of_piece)
-        joined = merges_by_contact(graph.pairs, graph.boundaries.num_edges, size, stays)
-        merges.add(regions.of_piece, joined, torch.full((joined.shape[1],), default, dtype=torch.float64), default)
-        regions = regions.merged(joined)
-    _merge_in_steps(regions, judge, [(last, threshold) for threshold in coarser], linkage, merges)
+    default, *coarser = last_levels([highest], pieces)
+    above = [(last, threshold) for threshold in coarser]
+    between = [(last, default)] if default > highest else []
+    linkage = MaskLinkage.of(pieces.masks, pieces.statistics.size)
+    if linkage is None:
+        regions = _merge_in_steps(regions, judge, steps, _by_probability, merges)
+        if regions.graph.occlusions is not None:
+            graph = regions.graph
+            pairs, against = continued_surfaces(regions.graph.occlusions, graph.statistics, graph.pairs)
+            joined, height = ops.region_dendrogram(pairs, against, len(graph), highest)
+            # At the height of the threshold, so all finer levels keep the regions apart.
+            merges.add(regions.of_piece, joined, torch.full_like(height, highest), highest)
+            regions = regions.merged(joined)
+        _merge_in_steps(regions, judge, [*between, *above], _by_probability, merges)
+        return merges.hierarchy(pieces.piece, default)
+    # a first merging, which shows how far the masks contradict each other
+    linkage = linkage.calibrated(_merge_in_steps(regions, judge, steps, linkage.merges, Merges(len(pieces))).of_piece)
+    regions = _merge_in_steps(regions, judge, steps, linkage.merges, merges)
+    regions = _merge_step(regions, judge, steps[-1], linkage.merges_far, merges)
+    regions = _merge_in_steps(regions, judge, [steps[-1]], linkage.merges_of_small, merges)
+    regions = _merge_in_steps(regions, judge, between, replace(linkage, keeps_outlines=True).merges, merges)
+    graph = regions.graph
+    size, stays = graph.statistics.size, linkage.confirmed(regions.of_piece)
+    joined = merges_by_contact(graph.pairs, graph.boundaries.num_edges, size, stays)
+    merges.add(regions.of_piece, joined, torch.full((joined.shape[1],), default, dtype=torch.float64), default)
+    _merge_in_steps(regions.merged(joined), judge, above, linkage.merges, merges)
     return merges.hierarchy(pieces.piece, default)
 
 
@@ -140,46 +146,27 @@ def last_levels(thresholds: Sequence[float], pieces: PieceGraph) -> list[float]:
     return [default, *(threshold for threshold in COARSER if threshold > default)]
 
 
-def _merge_in_steps(
-    regions: Regions,
-    judge: Judge,
-    steps: Sequence[tuple[int, float]],
-    linkage: MaskLinkage | None,
-    merges: Merges,
-    only_crumbs: bool = False,
-    far: bool = False,
-) -> Regions:
-    """Merges regions in steps, adds the merges to `merges`, and returns the new regions.
+def _by_probability(
+    of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
+) -> tuple[Tensor, Tensor]:
+    return ops.region_dendrogram(ends, cost, int(of_piece.max()) + 1, threshold, count)
 
-    With `far`, regions in one mask may merge even if they do not touch. With `only_crumbs`, only small regions merge.
-    """
-    for index, threshold in steps:
-        graph, of_piece = regions.graph, regions.of_piece
-        pairs, count = graph.pairs, graph.boundaries.num_edges
-        if pairs.shape[1] == 0 and not far:
+
+def _merge_in_steps(regions: Regions, judge: Judge, steps: Sequence[Step], link: Link, merges: Merges) -> Regions:
+    """Merges regions in steps, adds the merges to `merges`, and returns the new regions."""
+    for step in steps:
+        if regions.graph.pairs.shape[1] == 0:
             break
-        cost = judge(index, boundary_features(graph), first_places(of_piece)[pairs[0]]).float()
-        if linkage is not None and far:
-            pairs, cost, count = _with_far_pairs(pairs, cost, count, linkage.far_pairs(of_piece), len(graph))
-        if linkage is None:
-            joined, height = ops.region_dendrogram(pairs, cost, len(graph), threshold, count)
-        elif only_crumbs:
-            joined, height = linkage.crumbs(of_piece, pairs, cost, count)
-        else:
-            joined, height = linkage.merges(of_piece, pairs, cost, count, threshold)
-        merges.add(of_piece, joined, height, threshold)
-        regions = regions.merged(joined)
+        regions = _merge_step(regions, judge, step, link, merges)
     return regions
 
 
-def _with_far_pairs(
-    pairs: Tensor, cost: Tensor, count: Tensor, in_one_mask: Tensor, num_regions: int
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Adds an edge of cost 1 for each pair of regions that lie in one mask and do not touch."""
-    key, known = (ends[0] * num_regions + ends[1] for ends in (in_one_mask, pairs))
-    far = in_one_mask[:, ~torch.isin(key, known)]
-    one = torch.ones(far.shape[1], dtype=torch.int64)
-    return torch.cat([pairs, far], 1), torch.cat([cost, one.float()]), torch.cat([count, one])
+def _merge_step(regions: Regions, judge: Judge, step: Step, link: Link, merges: Merges) -> Regions:
+    (number, threshold), graph, of_piece = step, regions.graph, regions.of_piece
+    cost = judge(number, boundary_features(graph), first_places(of_piece)[graph.pairs[0]]).float()
+    joined, height = link(of_piece, graph.pairs, cost, graph.boundaries.num_edges, threshold)
+    merges.add(of_piece, joined, height, threshold)
+    return regions.merged(joined)
 
 
 class Merges:

@@ -1,15 +1,16 @@
 """Step 6, method learned: the consensus of several trees of merges.
 
 Merging is greedy: one boundary that is judged a hair higher changes all that merges later, so that points moved by a
-tenth of a millimetre may give other objects. Several judges, each of which merges by itself, rarely make the same
-accidental merge. Two pieces are kept together where most of their trees have them together. The judges also see
-different draws of the evidence (:func:`drawn_anew`), because pieces grow greedily, too.
+tenth of a millimetre may give other objects. The members of an ensemble, each of which merges by itself, rarely make
+the same accidental merge. Two pieces are kept together where most of their trees have them together. The members also
+see jittered copies of the cloud (:func:`jittered`), because pieces grow greedily, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 
 import torch
@@ -19,7 +20,7 @@ from torchjoint import ops
 from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.normals import dot, estimate_normals
 from torchjoint.cloud.scales import Scales
-from torchjoint.ops.internal import WEIGHT_UNIT, mask_merges
+from torchjoint.ops.internal import average_linkage
 from torchjoint.runtime.groups import members_of_groups, most_frequent, numbers_by_first_place
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
@@ -33,13 +34,13 @@ from torchjoint.segments.learned.piece_graph import MANY_POINTS, PieceGraph, cou
 from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES, merges_by_contact
 
-#: Number of draws; the first one is the cloud itself.
-DRAWS = 3
+#: Number of copies of the cloud; the first one is the cloud itself, the others are jittered.
+COPIES = 3
 #: Standard deviation of the noise of the points along each axis, in multiples of their spacing.
 DEVIATION = 0.1
 
 
-def drawn_anew(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
+def jittered(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
     """The graph with its points moved a little, and with the normals of the moved points.
 
     Edges and neighbours stay, and each normal keeps its side, so all evidence of images is valid for it. Given normals
@@ -48,10 +49,10 @@ def drawn_anew(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
     Args:
         graph: the cloud itself.
         scales: its noise and spacing.
-        number: of the draw, 1, 2, ...; equal numbers give equal draws.
+        number: of the copy, 1, 2, ...; equal numbers give equal copies.
     """
     random = torch.Generator().manual_seed(number)
-    # uniform, as the judges' noise
+    # uniform, as the members' noise
     noise = 2 * torch.rand(graph.points.shape, generator=random, dtype=graph.points.dtype) - 1
     points = graph.points + DEVIATION * 3**0.5 * scales.spacing[:, None] * noise
     normals = graph.normals
@@ -61,51 +62,51 @@ def drawn_anew(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
     return replace(graph, points=points, normals=normals, wide_normals=estimate_normals(points, graph.neighbors))
 
 
-#: Standard deviation of the noise of a disturbed judge, in log odds. Chosen among 0, .4, .7 and 1 on six real sets.
+#: Standard deviation of the noise of a disturbed member, in log odds. Chosen among 0, .4, .7 and 1 on six real sets.
 NOISE = 0.7
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
-#: The operator wants a prior; this much of it changes nothing.
-NO_PRIOR = 1e-9
 
 
-class Panel:
-    """T judges, of three kinds: a member of the model; a member with noise; and the mean of all other members.
+class Ensemble:
+    """T members, of three kinds: a trained one of the model; one with noise; and the mean of all others.
 
     Args:
-        model: M members, of which 3 M judges are made.
-        share: the T judges among them that this panel has; the seed of their noise is its start.
+        model: M trained members, of which 3 M are made.
+        share: the T of them that this ensemble has; the seed of their noise is its start.
     """
 
     def __init__(self, model: BoundaryModel, share: slice = slice(0, None)) -> None:
-        self._members = model.members
-        count = len(self._members)
+        self._trained = model.members
+        count = len(self._trained)
         member = torch.eye(count, dtype=torch.float64)
         others = (1 - member) / (count - 1) if count > 1 else member
         self.weights = torch.cat([member, member, others])[share]  # [T, M]
         self.is_unsure = (torch.arange(3 * count) // count == 1)[share]  # [T] bool
         self._random = torch.Generator().manual_seed(share.start)
 
-    def probabilities(self, number: int, values: Tensor, judge: Tensor) -> Tensor:
+    def probabilities(self, member_of_piece: Tensor, number: int, values: Tensor, piece: Tensor) -> Tensor:
         """The probability that two regions belong to different objects, [B] float64.
 
         Args:
+            member_of_piece: [P] int64, who is asked.
             number: of the round.
             values: [B, F] float32, features of the boundaries.
-            judge: [B] int64, who is asked.
+            piece: [B] int64, a piece on one side of each.
         """
+        member = member_of_piece[piece]
         probability = torch.zeros(len(values), dtype=torch.float64)
-        for member, weight in zip(self._members, self.weights.T[:, judge], strict=True):
+        for trained, weight in zip(self._trained, self.weights.T[:, member], strict=True):
             rows = torch.nonzero(weight).squeeze(1)
-            probability[rows] += weight[rows] * member.probability(number, values[rows])
-        return self._disturbed(probability, self.is_unsure[judge])
+            probability[rows] += weight[rows] * trained.probability(number, values[rows])
+        return self._disturbed(probability, self.is_unsure[member])
 
     def first_probabilities(self, values: Tensor) -> Tensor:
-        """The probabilities [T, B] of all judges in the first round, of boundaries [B, F] that all see."""
-        members = parallel_map(lambda member: member.probability(0, values), self._members)
+        """The probabilities [T, B] of all members in the first round, of boundaries [B, F] that all see."""
+        found = parallel_map(lambda trained: trained.probability(0, values), self._trained)
         probability = torch.zeros(len(self.weights), len(values), dtype=torch.float64)
-        for of_member, weight in zip(members, self.weights.T, strict=True):  # the bits of `@` differ between machines
-            probability += weight[:, None] * of_member
+        for of_trained, weight in zip(found, self.weights.T, strict=True):  # the bits of `@` differ between machines
+            probability += weight[:, None] * of_trained
         return self._disturbed(probability, self.is_unsure[:, None].expand_as(probability))
 
     def _disturbed(self, probability: Tensor, is_unsure: Tensor) -> Tensor:
@@ -115,35 +116,35 @@ class Panel:
         return probability.masked_scatter(is_unsure, torch.sigmoid(log_odds))
 
 
-def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierarchy:
-    """The consensus of the trees of many judges: :class:`Panel`. With masks, each draw has one tree, of all members.
+def build_consensus(copies: Sequence[PieceGraph], model: BoundaryModel) -> Hierarchy:
+    """The consensus of the trees of the members of an :class:`Ensemble`. With masks, each copy has one tree, of all.
 
     Args:
-        draws: the pieces and what is known about their boundaries, one or several times, each read once. Each draw has
-            its share of the judges. The first one has the pieces of the result.
-        model: the judges are made of its members.
+        copies: the pieces and what is known about their boundaries, one or several times, each read once. Each copy has
+            its share of the members. The first one has the pieces of the result.
+        model: its trained members.
 
     Returns:
         all levels. The cut at a threshold of the merging has those pieces together that most trees have together at
         this threshold. Between two thresholds, heights ascend with the share of the trees that are against a merge.
         Its votes are the trees' segments at the default level.
     """
-    pieces, levels, segments = segments_of_judges(draws, model)
+    pieces, levels, segments = segments_of_members(copies, model)
     size = pieces.statistics.size.long()
     linkage = MaskLinkage.of(pieces.masks, size)
     merges, below, default = Merges(len(size)), 0.0, last_levels(model.thresholds, pieces)[0]
     of_piece = torch.arange(len(size))
-    for level, of_judges in zip(levels, segments, strict=True):
-        joined, against = vote(of_judges, of_piece, size, pieces.pairs)
+    for level, of_members in zip(levels, segments, strict=True):
+        joined, against = vote(of_members, of_piece, size, pieces.pairs)
         merges.add(of_piece, joined, below + (level - below) * against / MAJORITY, level)
         of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
         if level == max(model.thresholds):
             # what does not touch, but is together for the majority; all finer levels keep it apart
-            joined, against = vote(of_judges, of_piece, size)
+            joined, against = vote(of_members, of_piece, size)
             merges.add(of_piece, joined, torch.full_like(against, level), level)
             of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
         if level == default:
-            votes = Votes(torch.stack(of_judges), size)
+            votes = Votes(torch.stack(of_members), size)
             regions, stays = pieces.grouped(of_piece), None if linkage is None else linkage.confirmed(of_piece)
             least = MIN_SIZE if pieces.images is None or linkage is not None else MIN_SIZE_IN_IMAGES
             count = regions.boundaries.num_edges
@@ -154,29 +155,29 @@ def build_consensus(draws: Sequence[PieceGraph], model: BoundaryModel) -> Hierar
     return replace(merges.hierarchy(pieces.piece, default), votes=votes)
 
 
-def segments_of_judges(
-    draws: Sequence[PieceGraph], model: BoundaryModel
+def segments_of_members(
+    copies: Sequence[PieceGraph], model: BoundaryModel
 ) -> tuple[PieceGraph, list[float], list[list[Tensor]]]:
-    """The first draw without measures; thresholds of the L levels; for each level the segments of each judge's tree.
+    """The first copy without measures; thresholds of the L levels; for each level the segments of each member's tree.
 
-    The segments [P] are those of the first draw's pieces: a piece is where most of its points are after the first step.
+    The segments [P] are those of the first copy's pieces: a piece is where most of its points are after the first step.
     """
-    given = [draws[0]]  # whoever takes it is the only one who has its measures
+    given = [copies[0]]  # whoever takes it is the only one who has its measures
     pieces = given[0].without_measures()
     levels = _levels(model.thresholds, pieces)
 
     def taken(number: int) -> PieceGraph:
-        return draws[number] if number else given.pop()
+        return copies[number] if number else given.pop()
 
-    def of_draw(number: int) -> list[list[Tensor]]:
+    def of_copy(number: int) -> list[list[Tensor]]:
         if pieces.masks is not None:
             return _segments_by_masks(taken(number), model, levels, pieces.piece)
-        panel = Panel(model, slice(number, None, len(draws)))
-        cells, regions, after = _first_step(taken(number), panel, levels[0], pieces.piece)
-        return _segments(cells, regions, after, panel, model, levels)
+        ensemble = Ensemble(model, slice(number, None, len(copies)))
+        cells, regions, after = _first_step(taken(number), ensemble, levels[0], pieces.piece)
+        return _segments(cells, regions, after, ensemble, model, levels)
 
-    numbers = range(len(draws))
-    found = parallel_map(of_draw, numbers) if len(pieces.piece) <= MANY_POINTS else [*map(of_draw, numbers)]
+    numbers = range(len(copies))
+    found = parallel_map(of_copy, numbers) if len(pieces.piece) <= MANY_POINTS else [*map(of_copy, numbers)]
     return pieces, levels, [list(chain.from_iterable(of_level)) for of_level in zip(*found, strict=True)]
 
 
@@ -194,19 +195,19 @@ def _segments_by_masks(
 
 
 def _first_step(
-    pieces: PieceGraph, panel: Panel, threshold: float, other: Tensor
+    pieces: PieceGraph, ensemble: Ensemble, threshold: float, other: Tensor
 ) -> tuple[PieceGraph, list[Tensor], list[Tensor]]:
-    """The first step of each judge.
+    """The first step of each member.
 
     Args:
-        pieces: of the draw.
-        panel: the judges.
+        pieces: of the copy.
+        ensemble: the members.
         threshold: of the step.
         other: [N] int64, the other piece of each point.
 
     Returns:
-        the graph of the C cells, which are the pieces that all judges have together; the regions [C] of each judge; and
-        the region of each other piece, for each judge.
+        the graph of the C cells, which are the pieces that all members have together; the regions [C] of each member;
+        and the region of each other piece, for each member.
     """
     num_edges = pieces.boundaries.num_edges
 
@@ -214,7 +215,7 @@ def _first_step(
         joined, _ = ops.region_dendrogram(pieces.pairs, probability.float(), len(pieces), threshold, num_edges)
         return ops.connected_components(joined, len(pieces))
 
-    regions = parallel_map(merged, panel.first_probabilities(boundary_features(pieces)))
+    regions = parallel_map(merged, ensemble.first_probabilities(boundary_features(pieces)))
     cell = _together(regions)
     cells = pieces.grouped(cell)
     of_cells = [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
@@ -225,29 +226,25 @@ def _segments(
     cells: PieceGraph,
     of_cells: Sequence[Tensor],
     regions: Sequence[Tensor],
-    panel: Panel,
+    ensemble: Ensemble,
     model: BoundaryModel,
     levels: Sequence[float],
 ) -> list[list[Tensor]]:
-    """For each level the segments of each of the judges, whose regions after the first step [C], [P] are known."""
+    """For each level the segments of each of the members, whose regions after the first step [C], [P] are known."""
     found: dict[int, list[Tensor]] = {}
-    for judges in _at_once(panel.is_unsure, cells.boundaries.num_edges.numel()):
-        sizes = [int(of_cells[judge].max()) + 1 for judge in judges]
-        asked = torch.tensor(judges).repeat_interleave(torch.tensor(sizes))
-        forest = merge_pieces(
-            cells.grouped(*(of_cells[judge] for judge in judges)),
-            model.thresholds,
-            lambda number, values, piece, asked=asked: panel.probabilities(number, values, asked[piece]),
-            begun=True,
-        )
+    for members in _at_once(ensemble.is_unsure, cells.boundaries.num_edges.numel()):
+        sizes = [int(of_cells[member].max()) + 1 for member in members]
+        asked = torch.tensor(members).repeat_interleave(torch.tensor(sizes))
+        graph, steps = cells.grouped(*(of_cells[member] for member in members)), merging_steps(model.thresholds)[1:]
+        forest = merge_pieces(graph, steps, partial(ensemble.probabilities, asked))
         of_levels = [forest.segments_of_pieces(level).split(sizes) for level in levels[1:]]
-        for judge, of_judge in zip(judges, zip(*of_levels, strict=True), strict=True):
-            found[judge] = [regions[judge], *((one - one[0])[regions[judge]] for one in of_judge)]
-    return [list(of_level) for of_level in zip(*(found[judge] for judge in range(len(regions))), strict=True)]
+        for member, of_member in zip(members, zip(*of_levels, strict=True), strict=True):
+            found[member] = [regions[member], *((one - one[0])[regions[member]] for one in of_member)]
+    return [list(of_level) for of_level in zip(*(found[member] for member in range(len(regions))), strict=True)]
 
 
 def _at_once(is_unsure: Tensor, num_boundaries: int) -> list[list[int]]:
-    """The judges [T] whose graphs are one graph: that is faster, but takes more memory. The unsure ones share noise."""
+    """The members whose graphs are one graph, which is faster but takes more memory. The unsure ones share noise."""
     numbers = list(range(len(is_unsure)))
     if num_boundaries <= MANY_BOUNDARIES:
         return [numbers]
@@ -291,32 +288,20 @@ def vote(
     Returns:
         [2, M] int64, for each merge the lowest regions of the two groups; [M] float64, the share that has them apart.
     """
-    num_regions, num_segments = int(of_piece.max()) + 1, [int(one.max()) + 1 for one in segments]
-    # As if each segmentation were a frame that sees all points, and its segments were masks.
-    first = [sum(num_segments[:place]) for place in range(len(segments))]
-    in_mask = torch.cat([counted(of_piece, one + start, size) for one, start in zip(segments, first, strict=True)], 1)
-    everything = torch.zeros_like(of_piece)
-    in_frame = torch.cat([counted(of_piece, everything + frame, size) for frame in range(len(segments))], 1)
-    ends = of_piece[touching] if touching is not None else _in_one_segment(in_mask)
-    frame_of_mask = torch.arange(len(segments)).repeat_interleave(torch.tensor(num_segments))
-    return mask_merges(
-        ends,
-        torch.zeros(ends.shape[1], dtype=torch.float32),
-        torch.ones_like(ends[0]),
-        sum_by(of_piece, size, num_regions),
-        in_mask,
-        in_frame,
-        torch.full_like(frame_of_mask, WEIGHT_UNIT),
-        frame_of_mask,
-        apart_weight=1.0,
-        prior_weight=NO_PRIOR,
-        threshold=MAJORITY,
+    num_segments = torch.tensor([int(one.max()) + 1 for one in segments])
+    first = num_segments.cumsum(0) - num_segments
+    in_segment = torch.cat(
+        [counted(of_piece, one + start, size) for one, start in zip(segments, first, strict=True)], 1
     )
+    ends = of_piece[touching] if touching is not None else _in_one_segment(in_segment)
+    size_of_region = sum_by(of_piece, size, int(of_piece.max()) + 1)
+    segmentation = torch.arange(len(segments)).repeat_interleave(num_segments)
+    return average_linkage(ends, size_of_region, in_segment, segmentation, MAJORITY)
 
 
-def _in_one_segment(in_mask: Tensor) -> Tensor:
+def _in_one_segment(in_segment: Tensor) -> Tensor:
     """The pairs of regions [2, B] that a segmentation has together, of rows (region, segment, points) [3, I]."""
-    region, segment = in_mask[:2, torch.argsort(in_mask[1], stable=True)]
+    region, segment = in_segment[:2, torch.argsort(in_segment[1], stable=True)]
     first, second = members_of_groups(torch.bincount(segment), segment)
     one, other = region[first], region[second]
     num_regions = int(region.max()) + 1

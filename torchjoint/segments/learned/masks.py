@@ -74,6 +74,17 @@ class MaskLinkage:
             ends, cost, count = ends[:, ~apart], cost[~apart], count[~apart]
         return mask_merges(ends, cost, count, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
 
+    def merges_far(
+        self, of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
+    ) -> tuple[Tensor, Tensor]:
+        """As `merges`; regions in one mask may merge even if they do not touch, as over an edge of cost 1."""
+        far, num_regions = self.far_pairs(of_piece), int(of_piece.max()) + 1
+        key, known = (pairs[0] * num_regions + pairs[1] for pairs in (far, ends))
+        far = far[:, ~torch.isin(key, known)]
+        one = torch.ones(far.shape[1], dtype=torch.int64)
+        ends, cost, count = torch.cat([ends, far], 1), torch.cat([cost, one.float()]), torch.cat([count, one])
+        return self.merges(of_piece, ends, cost, count, threshold)
+
     def far_pairs(self, of_piece: Tensor) -> Tensor:
         """Pairs of regions that lie in one mask, whether or not they touch: [2, B] int64, a < b, ascending."""
         num_regions = int(of_piece.max()) + 1
@@ -87,8 +98,10 @@ class MaskLinkage:
         key = torch.unique((one * num_regions + other)[one < other])
         return torch.stack([key // num_regions, key % num_regions])
 
-    def crumbs(self, of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
-        """The merges with a neighbour of small regions in masks, unless a mask confirms them; arguments as `merges`.
+    def merges_of_small(
+        self, of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor, _: float = math.inf
+    ) -> tuple[Tensor, Tensor]:
+        """As `merges`, without threshold: small regions in masks join a neighbour, unless a mask confirms them.
 
         Regions that most views show without a mask stay.
         """

@@ -12,7 +12,7 @@ from torchjoint.config import Config
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Cloud, Hierarchy
 from torchjoint.segments.learned.boundary_model import OF_IMAGES, PACKAGED, BoundaryModel, load_boundary_model
-from torchjoint.segments.learned.consensus import DRAWS, build_consensus, drawn_anew
+from torchjoint.segments.learned.consensus import COPIES, build_consensus, jittered
 from torchjoint.segments.learned.masks import move_to_majority
 from torchjoint.segments.learned.piece_graph import PieceGraph, masks_of_pieces
 from torchjoint.segments.learned.pieces import Colors, build_piece_graph, measure_colors
@@ -28,7 +28,7 @@ def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
     Colours that are all equal count as no colours.
     """
     _model(config)  # reports a bad file here, not after all frames
-    cloud = cloud.with_telling_colors()
+    cloud = cloud.without_constant_colors()
     frame = LocalFrame.of(cloud.points)
     local, of_cloud = local_cloud(cloud, frame, merge_within)
     working, scales, of_local = working_cloud(local)
@@ -44,10 +44,10 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
     colors, without_masks = measure_colors(graph, observations), len(observations.without_masks())
     sees_images = 0 < without_masks == len(observations) and _has_hues(colors)
 
-    def draw(number: int) -> PieceGraph:
-        return build_piece_graph(drawn_anew(graph, scales, number) if number else graph, scales, evidence, colors)
+    def copy(number: int) -> PieceGraph:
+        return build_piece_graph(jittered(graph, scales, number) if number else graph, scales, evidence, colors)
 
-    hierarchy = build_consensus(LazySequence(DRAWS, draw), _model(config, sees_images))
+    hierarchy = build_consensus(LazySequence(COPIES, copy), _model(config, sees_images))
     masks = masks_of_pieces(hierarchy.piece, observations)
     return hierarchy if masks is None else move_to_majority(hierarchy, graph.edge_index, masks, observations)
 

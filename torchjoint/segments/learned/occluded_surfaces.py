@@ -33,9 +33,9 @@ SAME_DIRECTION = 0.9
 #: Places between the two ends, as shares of the way, at which a third region or free space is searched.
 PLACES = (0.25, 0.5, 0.75)
 #: A region is at a place if its nearest point is nearer than this many spacings, or this many multiples of the noise.
-NEAR, NEAR_IN_NOISE = 2.0, 8.0
+NEAR_IN_SPACINGS, NEAR_IN_NOISE = 2.0, 8.0
 #: Two regions are joined if at least this many lines, and this share of the lines between them, vote for it.
-MIN_LINES, SHARE = 4, 0.5
+MIN_LINES, AGREEING_SHARE = 4, 0.5
 #: Largest difference of the mean colours of two joined regions, in multiples of the spread of colours within them.
 MAX_CONTRAST = 1.25
 
@@ -103,7 +103,7 @@ def continued_surfaces(occlusions: Occlusions, statistics: RegionStatistics, tou
 
     Returns:
         [2, B] int64 regions a < b, ascending; and [B] float32, the share of the lines against joining them, at most
-        1 - SHARE. Without colours there are no pairs, because two surfaces may lie in one plane by chance.
+        1 - AGREEING_SHARE. Without colours there are no pairs, because two surfaces may lie in one plane by chance.
     """
     num_regions, (first, second), hidden = len(statistics.size), occlusions.pairs, occlusions.between
     of_regions = _keys(first, second, num_regions)
@@ -114,7 +114,7 @@ def continued_surfaces(occlusions: Occlusions, statistics: RegionStatistics, tou
     votes = sum_by(of_pair, (occlusions.num_lines * (occlusions.may_continue & is_free))[apart], len(key))
     share = votes.double() / lines
     pairs = torch.stack([key // num_regions, key % num_regions])
-    joined = (votes >= MIN_LINES) & (share >= SHARE)
+    joined = (votes >= MIN_LINES) & (share >= AGREEING_SHARE)
     joined &= color_contrasts(statistics, *pairs) <= MAX_CONTRAST  # NaN without colours: not joined
     return pairs[:, joined], (1 - share[joined]).float()
 
@@ -137,7 +137,7 @@ def _nearest_pieces(ways: Tensor, piece: Tensor, points: Tensor, scales: Scales)
     """The piece at each place [L, K, 3] between two pieces: [L, K] int64, -1 = none."""
     distance, nearest = cKDTree(points.double().numpy()).query(ways.numpy())
     found = torch.from_numpy(nearest)
-    near = torch.maximum(NEAR * scales.spacing[found], NEAR_IN_NOISE * scales.noise[found])
+    near = torch.maximum(NEAR_IN_SPACINGS * scales.spacing[found], NEAR_IN_NOISE * scales.noise[found])
     return torch.where(torch.from_numpy(distance) < near, piece[found], -1)
 
 

@@ -22,7 +22,7 @@ from torchjoint.segments.learned.region_statistics import RegionStatistics, pool
 from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
-#: For clouds of more points, less memory counts more than less time: they are judged draw by draw.
+#: For clouds of more points, less memory counts more than less time: they are judged copy by copy.
 MANY_POINTS = 400_000
 
 

@@ -1,6 +1,6 @@
 """Step 6, method learned: regions too small to be told from noise go to whom they touch most.
 
-What neither the judges nor a mask have taken up to the default level would be an object of its own: hundreds of them
+What neither the members nor a mask have taken up to the default level would be an object of its own: hundreds of them
 in a room.
 """
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from torchjoint.config import ScanConfig
-from torchjoint.ops.internal import ground_heights, something_rises
+from torchjoint.ops.internal import ground_heights, has_points_above
 from torchjoint.runtime.threads import all_threads, num_threads, one_thread_per_operation
 from torchjoint.scene.checks import as_points
 from torchjoint.segments.scan.gaps import Gaps
@@ -40,7 +40,7 @@ MAX_BUMP = 0.2
 GROUND_HEIGHT = 0.08
 
 #: Horizontal distance from the sensor, metres, within which the sensor's height above the ground is estimated.
-NEAR = 20.0
+HEIGHT_RADIUS = 20.0
 
 #: Number of columns on each side with which a profile is compared.
 SIDES = 4
@@ -90,7 +90,7 @@ def ground_below(seen: Directions, height: Tensor, used: Tensor | None = None) -
             slope=math.tan(math.radians(MAX_SLOPE)),
             step=MAX_STEP,
             bump=MAX_BUMP,
-            near=NEAR,
+            near=HEIGHT_RADIUS,
             blind=BLIND,
             sides=SIDES,
         )
@@ -101,7 +101,7 @@ def ground_below(seen: Directions, height: Tensor, used: Tensor | None = None) -
 HOP, HOP_GROWTH = 2.0, 0.1
 
 #: A patch joins the ground if at least this share of its points near the ground fits the ground.
-SHARE = 0.8
+FITTING_SHARE = 0.8
 
 #: Largest number of rounds in which patches join the ground.
 ROUNDS = 12
@@ -166,7 +166,7 @@ def grow_ground(
         step = np.abs(z[left] - z[nearest])
         near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
         num_near = np.bincount(patch[near], minlength=count)
-        joins = (num_near > 0) & (np.bincount(patch[near & fits], minlength=count) >= SHARE * num_near)
+        joins = (num_near > 0) & (np.bincount(patch[near & fits], minlength=count) >= FITTING_SHARE * num_near)
         stays = ~joins[patch]
         new = left[~stays]
         on_ground[torch.from_numpy(new)] = True
@@ -201,6 +201,6 @@ def rising(seen: Directions, height: Tensor, which: Tensor, object_height: float
     row -= row.min()
     used = torch.ones_like(column, dtype=torch.bool) if used is None else used
     with all_threads():
-        return something_rises(
+        return has_points_above(
             column, row, height, used, which, num_columns, int(row.max()) + 1, object_height, OVERHANG
         )

@@ -133,7 +133,7 @@ def with_near_rings(points: Tensor, seen: Directions, rings: Rings | None, confi
 def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
     """The points alone, in the given coordinates, because the sensor is at the origin. Merges only copies."""
     world = LocalFrame.of_world()
-    local, of_cloud = local_cloud(cloud.with_telling_colors(), world)
+    local, of_cloud = local_cloud(cloud.without_constant_colors(), world)
     return build_edgeless_graph(local).of(world, of_cloud)
 
 

@@ -197,7 +197,7 @@ ROW, BESIDE = 0.4, 0.5
 DIFFERENCE = 0.3
 #: A scan has a smaller sum of growth and contradiction (:func:`dependence_on_range`). Scans of all kinds, noisy ones,
 #: of two sensors, or with outliers, have at most .31; ten aligned sweeps along 20 m have .45, and rooms more than 1.
-MOST = 0.38
+MAX_DEPENDENCE = 0.38
 #: Largest unevenness (:func:`_unevenness`): scans have .1 to .36, ten aligned sweeps in open places .57 and more.
 LARGEST_UNEVENNESS = 0.45
 #: Smallest ratio of far ranges (95 % quantile) to the depth of low points below the sensor (5 % quantile of heights).
@@ -281,15 +281,16 @@ class ScanSigns(NamedTuple):
     @property
     def is_scan(self) -> bool:
         """Whether the cloud is a scan."""
-        return self.rings is not None or (self.dependence is not None and self.dependence < MOST)
+        return self.rings is not None or (self.dependence is not None and self.dependence < MAX_DEPENDENCE)
 
     def __str__(self) -> str:
         if self.rings is not None:
             return f" of a turning LiDAR with about {self.rings.number} rings (certain)"
         if not self.is_scan:
             return ", no scan of a LiDAR recognised"
-        sureness = "likely" if self.dependence is not None and self.dependence < MOST / 2 else "perhaps"
-        return f" of a LiDAR without clear rings ({sureness}: dependence on range {self.dependence:.2f} of {MOST})"
+        sureness = "likely" if self.dependence is not None and self.dependence < MAX_DEPENDENCE / 2 else "perhaps"
+        dependence = f"dependence on range {self.dependence:.2f} of {MAX_DEPENDENCE}"
+        return f" of a LiDAR without clear rings ({sureness}: {dependence})"
 
 
 def look_for_scan(points: Tensor) -> ScanSigns:

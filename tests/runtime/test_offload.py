@@ -7,19 +7,19 @@ import pickle
 
 import pytest
 
-from torchjoint.runtime import store as spill
-from torchjoint.runtime.store import SpillFile
+from torchjoint.runtime import store as offload
+from torchjoint.runtime.store import OffloadFile
 
 
 def test_what_is_written_is_read(tmp_path):
-    file = SpillFile(tmp_path)
+    file = OffloadFile(tmp_path)
     first, empty, second = [*file.write([b"one", b""]), *file.write([b"two two"])]
     assert (first.read(), empty.read(), second.read()) == (b"one", b"", b"two two")
     assert pickle.loads(pickle.dumps(second)) == b"two two"
 
 
 def test_the_last_span_closes_the_file_and_leaves_nothing(tmp_path):
-    file = SpillFile(tmp_path)
+    file = OffloadFile(tmp_path)
     (span,) = file.write([b"bytes"])
     assert list(tmp_path.iterdir()) == []
     tmp_path.rmdir()
@@ -32,7 +32,7 @@ def test_the_last_span_closes_the_file_and_leaves_nothing(tmp_path):
 
 
 def test_a_full_disk_is_told_and_nothing_is_lost(tmp_path, monkeypatch):
-    file = SpillFile(tmp_path)
+    file = OffloadFile(tmp_path)
     (before,) = file.write([b"before"])
     pwrite = os.pwrite
 
@@ -41,7 +41,7 @@ def test_a_full_disk_is_told_and_nothing_is_lost(tmp_path, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
         return pwrite(number, data[: 12 - start], start)
 
-    monkeypatch.setattr(spill.os, "pwrite", full)
+    monkeypatch.setattr(offload.os, "pwrite", full)
     with pytest.raises(
         OSError, match=r"memory: .*cannot be written \(No space left on device\); free disk space"
     ) as raised:
@@ -54,30 +54,30 @@ def test_a_full_disk_is_told_and_nothing_is_lost(tmp_path, monkeypatch):
 
 
 def test_a_file_is_memory(tmp_path, monkeypatch):
-    file = SpillFile(tmp_path)
+    file = OffloadFile(tmp_path)
     small = file.mapped(3)
     small[:] = b"one"
-    large = file.mapped(spill.ZEROS + 10)
-    assert (large[:4], large[-1:], len(large)) == (b"one\0", b"\0", spill.ZEROS + 10)
+    large = file.mapped(offload.ZEROS + 10)
+    assert (large[:4], large[-1:], len(large)) == (b"one\0", b"\0", offload.ZEROS + 10)
     large[1] = ord("w")
     assert small[:] == b"owe"
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(spill.os, "pwrite", full)
+    monkeypatch.setattr(offload.os, "pwrite", full)
     with pytest.raises(OSError, match=r"memory: .*cannot be written \(No space left on device\)"):
-        file.mapped(spill.ZEROS + 11)
+        file.mapped(offload.ZEROS + 11)
 
 
 def test_a_missing_folder_is_told(tmp_path):
     with pytest.raises(OSError, match=r"memory: .*\(No such file or directory\).*: '.*/gone'"):
-        SpillFile(tmp_path / "gone")
+        OffloadFile(tmp_path / "gone")
 
 
 def test_the_default_folder(tmp_path, monkeypatch):
     monkeypatch.delenv("TMPDIR", raising=False)
-    assert str(SpillFile().folder) == "/var/tmp"
-    monkeypatch.setattr(spill.tempfile, "tempdir", str(tmp_path))
+    assert str(OffloadFile().folder) == "/var/tmp"
+    monkeypatch.setattr(offload.tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    assert SpillFile().folder == tmp_path
+    assert OffloadFile().folder == tmp_path

@@ -50,7 +50,7 @@ class Grid {
   std::vector<double> heights_;
 };
 
-Tensor something_rises(const Tensor& column, const Tensor& row, const Tensor& height, const Tensor& used,
+Tensor has_points_above(const Tensor& column, const Tensor& row, const Tensor& height, const Tensor& used,
                        const Tensor& which, int64_t num_columns, int64_t num_rows, double least, double most) {
   const Tensor columns = checked_array(column, ScalarType::Long, {-1}, "column");
   const int64_t count = columns.size(0);
@@ -87,10 +87,10 @@ Tensor something_rises(const Tensor& column, const Tensor& row, const Tensor& he
 
 STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
   m.def(
-      "something_rises(Tensor column, Tensor row, Tensor height, Tensor used, Tensor which, int num_columns,"
+      "has_points_above(Tensor column, Tensor row, Tensor height, Tensor used, Tensor which, int num_columns,"
       " int num_rows, float least, float most) -> Tensor");
 }
 
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("something_rises", TORCH_BOX(&something_rises)); }
+STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("has_points_above", TORCH_BOX(&has_points_above)); }
 
 }  // namespace torchjoint

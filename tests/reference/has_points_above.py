@@ -1,4 +1,4 @@
-"""something_rises: the slow twin, and arguments that are right and wrong."""
+"""has_points_above: the slow twin, and arguments that are right and wrong."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ERRORS = [
 REFUSED = [{"column": COLUMN.int()}, {"height": HEIGHT[:1]}, {"which": torch.tensor([-1])}, {"num_rows": -1}]
 
 
-def something_rises_reference(
+def has_points_above_reference(
     column: Tensor,
     row: Tensor,
     height: Tensor,
@@ -41,7 +41,7 @@ def something_rises_reference(
     least: float,
     most: float,
 ) -> Tensor:
-    """What :func:`torchjoint.ops.internal.something_rises` does; the arguments are not checked."""
+    """What :func:`torchjoint.ops.internal.has_points_above` does; the arguments are not checked."""
     found = []
     for i in which.tolist():
         aside = (column - column[i]) % num_columns
