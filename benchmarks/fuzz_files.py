@@ -229,8 +229,10 @@ def make_run(folder: Path) -> list[Sample]:
 
     def whole() -> Content:
         read = read_result(folder / "result")
-        pieces = {f"pieces {index}": read.piece_images[index] for index in range(len(read.piece_images))}
-        return {"points": read.points} | {f"image {i}": image for i, image in enumerate(read.images)} | pieces
+        superpoints = {
+            f"superpoints {index}": read.superpoint_images[index] for index in range(len(read.superpoint_images))
+        }
+        return {"points": read.points} | {f"image {i}": image for i, image in enumerate(read.images)} | superpoints
 
     return [*made, Sample("result", folder / "result", whole)]
 

@@ -94,11 +94,11 @@ def read_all(folder: Path) -> dict[str, Tensor]:
     result = tj.load_result(folder)
     content = {"labels": result.points, "points": result.scene.points}
     if result.hierarchy is not None:
-        content |= {"pieces": result.hierarchy.piece, "finest": result.at(1.0).points}
+        content |= {"pieces": result.hierarchy.superpoint, "finest": result.at(1.0).points}
     for index, name in enumerate(result.names):
         content[f"labels of {name}"] = result.images[index]
-        if len(result.piece_images):
-            content[f"pieces of {name}"] = result.piece_images[index]
+        if len(result.superpoint_images):
+            content[f"superpoints of {name}"] = result.superpoint_images[index]
     for frame in result.scene.frames:
         content |= {f"image {frame.name}": frame.image, f"pose {frame.name}": frame.world_to_camera}
     if int(result.points.max()) >= len(result.points) or int(result.points.min()) < 0:
@@ -185,10 +185,10 @@ def correct(results: Results, file: Path, rng: np.random.Generator) -> None:
     steps = []
     for _ in range(rng.integers(4)):
         kind = ("join", "split", "name")[rng.integers(3)] if rng.integers(8) else ODD[rng.integers(len(ODD))]
-        pieces = [int(piece) for piece in rng.integers(count, size=rng.integers(4))]
-        if pieces and rng.integers(4) == 0:
-            pieces[0] = ODD[rng.integers(len(ODD))]
-        steps.append({"kind": kind, "pieces": pieces} | ({"name": "ü<b>"} if rng.integers(2) else {}))
+        superpoints = [int(superpoint) for superpoint in rng.integers(count, size=rng.integers(4))]
+        if superpoints and rng.integers(4) == 0:
+            superpoints[0] = ODD[rng.integers(len(ODD))]
+        steps.append({"kind": kind, "pieces": superpoints} | ({"name": "ü<b>"} if rng.integers(2) else {}))
     record = {"pieces": count, "granularity": [None, 0.3, 1.0, 0][rng.integers(4)], "edits": steps}
     if (of := (None, results.root, results.other)[rng.integers(3)]) is not None:
         record["result"] = manifest_checksum(of)
@@ -250,10 +250,10 @@ def judged(intact: dict[str, Tensor], read: dict[str, Tensor], is_corrected: boo
     if not changed and read.keys() == intact.keys():
         return "results: as the run wrote it"
     if is_corrected and all(name.startswith("labels") for name in changed):
-        pieces = intact["pieces"]
-        of_piece = torch.zeros(int(pieces.max()) + 1, dtype=torch.int64)
-        of_piece[pieces] = read["labels"]
-        if torch.equal(of_piece[pieces], read["labels"]):
+        superpoints = intact["pieces"]
+        of_superpoint = torch.zeros(int(superpoints.max()) + 1, dtype=torch.int64)
+        of_superpoint[superpoints] = read["labels"]
+        if torch.equal(of_superpoint[superpoints], read["labels"]):
             return "results: corrected"
     raise FindingError(f"results: other {', '.join(changed) or 'content'}")
 

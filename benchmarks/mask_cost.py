@@ -1,8 +1,8 @@
-"""What the merging by masks costs for many pieces and many frames: `python benchmarks/mask_cost.py`.
+"""What the merging by masks costs for many superpoints and many frames: `python benchmarks/mask_cost.py`.
 
-Pieces stand on a floor, PER_OBJECT neighbours make an object, and a camera walks over the floor. Each frame sees the
-pieces of a disc, whose area is a share of the floor's, and its masks are the objects there, some split in two, some
-joined, some missing. So the counts are those of a recording, without its images. Each row is a process of its own:
+Superpoints stand on a floor, PER_OBJECT neighbours make an object, and a camera walks over the floor. Each frame sees
+the superpoints of a disc, whose area is a share of the floor's, and its masks are the objects there, some split in two,
+some joined, some missing. So the counts are those of a recording, without its images. Each row is a process of its own:
 the size of the counts, the time of the merging in the model's steps, and the largest resident memory above what the
 process took before the counts.
 """
@@ -23,12 +23,12 @@ from scipy.spatial import cKDTree
 from torchjoint import ops
 from torchjoint.ops.internal import WEIGHT_UNIT
 from torchjoint.segments.learned.masks import MaskLinkage
-from torchjoint.segments.learned.piece_graph import MaskCounts
+from torchjoint.segments.learned.superpoint_graph import MaskCounts
 
-PER_OBJECT, NEIGHBORS, POINTS_PER_PIECE = 12, 6, 30
+PER_OBJECT, NEIGHBORS, POINTS_PER_SUPERPOINT = 12, 6, 30
 SPLIT, JOINED, MISSING = 0.3, 0.08, 0.15
 THRESHOLDS = (0.1, 0.3, 0.5)
-#: (pieces, frames, share of the floor that a frame sees)
+#: (superpoints, frames, share of the floor that a frame sees)
 ROWS = ((1_000, 150, 0.2), (10_000, 150, 0.05), (10_000, 1_500, 0.01), (10_000, 1_500, 0.05), (10_000, 1_500, 0.2))
 
 
@@ -37,8 +37,8 @@ def main() -> None:
     parser.add_argument("--one", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.one:
-        pieces, frames, share = arguments.one.split(",")
-        print(json.dumps(measure(int(pieces), int(frames), float(share))))
+        superpoints, frames, share = arguments.one.split(",")
+        print(json.dumps(measure(int(superpoints), int(frames), float(share))))
         return
     rows = []
     for row in ROWS:
@@ -46,28 +46,35 @@ def main() -> None:
         output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
         measured = json.loads(output.splitlines()[-1])
         print(row, measured, flush=True)
-        pieces, frames, share = row
-        sizes = [f"{pieces:,}", frames, f"{share:.0%}", measured["rows"] / 1e6, measured["far"], measured["regions"]]
+        superpoints, frames, share = row
+        sizes = [
+            f"{superpoints:,}",
+            frames,
+            f"{share:.0%}",
+            measured["rows"] / 1e6,
+            measured["far"],
+            measured["regions"],
+        ]
         rows.append([*sizes, measured["touching"], measured["all pairs"], measured["memory"]])
     columns = {"pieces": 0, "frames": 0, "seen by a frame": 0, "million counts": 2, "pairs that do not touch": 0}
     columns |= {"regions at the end": 0, "s, touching": 1, "s, all pairs": 1, "GB": 2}
     report.save("mask_cost", [report.Table(columns, rows)])
 
 
-def measure(num_pieces: int, num_frames: int, share: float) -> dict[str, float]:
+def measure(num_superpoints: int, num_frames: int, share: float) -> dict[str, float]:
     """Sizes, seconds and memory of one row."""
     random = np.random.default_rng(0)
-    place = random.random((num_pieces, 2))
-    of_object = cKDTree(random.random((num_pieces // PER_OBJECT, 2))).query(place)[1]
+    place = random.random((num_superpoints, 2))
+    of_object = cKDTree(random.random((num_superpoints // PER_OBJECT, 2))).query(place)[1]
     before = memory("VmRSS")
     masks = counts(place, of_object, num_frames, share, random)
-    linkage = MaskLinkage(masks, torch.full((num_pieces,), POINTS_PER_PIECE))
+    linkage = MaskLinkage(masks, torch.full((num_superpoints,), POINTS_PER_SUPERPOINT))
     near = cKDTree(place).query(place, NEIGHBORS + 1)[1][:, 1:]
-    ends = torch.from_numpy(np.stack([np.repeat(np.arange(num_pieces), NEIGHBORS), near.ravel()]))
+    ends = torch.from_numpy(np.stack([np.repeat(np.arange(num_superpoints), NEIGHBORS), near.ravel()]))
     ends = torch.unique(ends.sort(0).values, dim=1)
     cost = torch.from_numpy(random.random(ends.shape[1], dtype=np.float32))
 
-    region, started = torch.arange(num_pieces), time.perf_counter()
+    region, started = torch.arange(num_superpoints), time.perf_counter()
     for threshold in THRESHOLDS:
         region = merged(linkage, region, ends, cost, threshold)
     touching = time.perf_counter() - started
@@ -86,45 +93,45 @@ def measure(num_pieces: int, num_frames: int, share: float) -> dict[str, float]:
 
 def merged(
     linkage: MaskLinkage,
-    of_piece: torch.Tensor,
+    of_superpoint: torch.Tensor,
     ends: torch.Tensor,
     cost: torch.Tensor,
     threshold: float,
     far: torch.Tensor | None = None,
 ) -> torch.Tensor:
-    """The regions of the pieces after a step of the merging."""
-    between = of_piece[ends]
+    """The regions of the superpoints after a step of the merging."""
+    between = of_superpoint[ends]
     across = between[0] != between[1]
     between, cost = between[:, across], cost[across]
     if far is not None:
         between = torch.cat([between, far], 1)
         cost = torch.cat([cost, torch.ones(far.shape[1])])
-    joined, _ = linkage.merges(of_piece, between, cost, threshold)
-    num_regions = int(of_piece.max()) + 1
-    return ops.connected_components(joined, num_regions)[of_piece]
+    joined, _ = linkage.merges(of_superpoint, between, cost, threshold)
+    num_regions = int(of_superpoint.max()) + 1
+    return ops.connected_components(joined, num_regions)[of_superpoint]
 
 
 def counts(
     place: np.ndarray, of_object: np.ndarray, num_frames: int, share: float, random: np.random.Generator
 ) -> MaskCounts:
-    """What the frames of a walk over the floor see of the pieces, and of the objects' masks."""
+    """What the frames of a walk over the floor see of the superpoints, and of the objects' masks."""
     tree, radius = cKDTree(place), (share / np.pi) ** 0.5
     walk = np.cumsum(random.normal(0, 0.05, (num_frames, 2)), 0)
     center = 1 - np.abs(np.mod(walk, 2) - 1)  # reflected at the walls
     in_mask, in_frame, frame_of_mask, num_masks = [], [], [], 0
     for frame, seen in enumerate(tree.query_ball_point(center, radius)):
-        piece = np.sort(np.array(seen, dtype=np.int64))
-        if not len(piece):
+        superpoint = np.sort(np.array(seen, dtype=np.int64))
+        if not len(superpoint):
             continue
-        objects, mask = np.unique(of_object[piece], return_inverse=True)
+        objects, mask = np.unique(of_object[superpoint], return_inverse=True)
         joins = random.random(len(objects)) < JOINED
         mask = np.where(joins[mask], np.maximum(mask - 1, 0), mask)
-        splits = (random.random(len(objects)) < SPLIT)[mask] & (random.random(len(piece)) < 0.5)
+        splits = (random.random(len(objects)) < SPLIT)[mask] & (random.random(len(superpoint)) < 0.5)
         mask = np.unique(mask + len(objects) * splits, return_inverse=True)[1]
         kept = ~(random.random(mask.max() + 1) < MISSING)[mask]
-        points = random.integers(POINTS_PER_PIECE // 4, POINTS_PER_PIECE, len(piece))
-        in_frame.append(np.stack([piece, np.full(len(piece), frame), points]))
-        in_mask.append(np.stack([piece, num_masks + mask, points])[:, kept])
+        points = random.integers(POINTS_PER_SUPERPOINT // 4, POINTS_PER_SUPERPOINT, len(superpoint))
+        in_frame.append(np.stack([superpoint, np.full(len(superpoint), frame), points]))
+        in_mask.append(np.stack([superpoint, num_masks + mask, points])[:, kept])
         frame_of_mask.append(np.full(mask.max() + 1, frame))
         num_masks += mask.max() + 1
     tables = (torch.from_numpy(np.concatenate(rows, 1)) for rows in (in_mask, in_frame))

@@ -252,7 +252,7 @@ def test_superpoints_live_keep_their_ids_too(frames):
     segmenter.update(frames[3])
     second = segmenter.result(images=False)
     things = played(frames).result(images=False).segmentation
-    assert torch.equal(second.segmentation.points, things.hierarchy.piece)
+    assert torch.equal(second.segmentation.points, things.hierarchy.superpoint)
     assert len(second.ids) > things.num_point_segments
     assert len(set(first.ids.tolist()) & set(second.ids.tolist())) > len(first.ids) / 2
     with pytest.raises(ValueError, match="granularity: expected"):

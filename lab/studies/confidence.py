@@ -48,10 +48,10 @@ def measure(labelled: LabelledScene) -> dict[str, npt.NDArray[np.generic]]:
     result = JointSegmenter()(labelled.scene)
     assert result.hierarchy is not None
     assert result.hierarchy.votes is not None
-    piece, truth = result.hierarchy.piece, labelled.truth.instance
-    of_piece = piece.new_zeros(result.hierarchy.num_pieces)
-    of_piece[piece] = result.points
-    iou, points, share = result.hierarchy.votes.agreement(of_piece)
+    superpoint, truth = result.hierarchy.superpoint, labelled.truth.instance
+    of_superpoint = superpoint.new_zeros(result.hierarchy.num_superpoints)
+    of_superpoint[superpoint] = result.points
+    iou, points, share = result.hierarchy.votes.agreement(of_superpoint)
     known, counts = truth >= 0, labelled.truth.counts
     shared = np.zeros((len(points), int(truth.max()) + 1))
     np.add.at(shared, (result.points[known].numpy(), truth[known].numpy()), 1)
@@ -66,7 +66,7 @@ def measure(labelled: LabelledScene) -> dict[str, npt.NDArray[np.generic]]:
         "features": np.stack([iou.numpy(), points.log().numpy()], 1)[counted],
         "is_object": is_object[counted],
         "segment": number[label],
-        "share": share[piece].numpy()[sample],
+        "share": share[superpoint].numpy()[sample],
         "is_right": is_object[label] & (truth.numpy()[sample] == ious.argmax(1)[label]),
     }
 

@@ -43,7 +43,7 @@ from torchjoint_lab.training.boundary_examples import (
     learned_config,
 )
 from torchjoint_lab.training.boundary_model import fit_boundary_model
-from torchjoint_lab.training.piece_graph_files import load_evidence, save_evidence
+from torchjoint_lab.training.superpoint_graph_files import load_evidence, save_evidence
 
 import torchjoint as tj
 from torchjoint.runtime.files import write_text

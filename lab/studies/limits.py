@@ -1,8 +1,10 @@
-"""Where is a thing lost: in the pieces, in the tree, or in the choice of the level? Its best IoU in each, by its size.
+"""Where is a thing lost: in the superpoints, in the tree, or in the choice of the level? Its best IoU in each, by its
+size.
 
     python lab/studies/limits.py [--data FOLDER] [--kinds room kitchen ycb] [--scenes 4] [--runs 4] [--write]
 
-Pieces: each piece belongs to the thing that has most of its points, so no merging is better. Tree: the best segment of
+Superpoints: each superpoint belongs to the thing that has most of its points, so no merging is better. Tree: the best
+    segment of
 any of LEVELS levels, another one for each thing. Default: the best segment of the default level. The points of each run
 are moved by 0.1 mm. The scenes are those of `torchjoint-lab robustness`; no model was trained on them.
 """
@@ -43,20 +45,20 @@ def best_ious(labels: Tensor, truth: Tensor) -> Tensor:
 
 
 def of_scene(scene: tj.Scene) -> tuple[Tensor, Tensor]:
-    """[3, T] the best IoU of each thing in the pieces, the tree and the default level; [T] its number of points."""
+    """[3, T] the best IoU of each thing in superpoints, the tree and the default level; [T] its number of points."""
     assert scene.truth is not None
     assert scene.truth.points is not None
     truth, tree = scene.truth.points.long(), tj.JointSegmenter()(scene).hierarchy
     assert tree is not None
     known = truth >= 0
     width = int(truth.max()) + 1
-    key, count = torch.unique(tree.piece[known] * width + truth[known], return_counts=True)
-    piece, place = (key // width).unique(return_inverse=True)  # others have no known point
-    owner = torch.zeros(tree.num_pieces, dtype=torch.long)
-    owner[piece] = most_frequent(key % width, place, count)
+    key, count = torch.unique(tree.superpoint[known] * width + truth[known], return_counts=True)
+    superpoint, place = (key // width).unique(return_inverse=True)  # others have no known point
+    owner = torch.zeros(tree.num_superpoints, dtype=torch.long)
+    owner[superpoint] = most_frequent(key % width, place, count)
     heights = torch.quantile(tree.heights, torch.linspace(0, 1, LEVELS - 1, dtype=torch.float64)).tolist()
     of_tree = torch.stack([best_ious(tree.cut(height), truth) for height in {*heights, tree.default}]).amax(0)
-    found = torch.stack([best_ious(owner[tree.piece], truth), of_tree, best_ious(tree.at(), truth)])
+    found = torch.stack([best_ious(owner[tree.superpoint], truth), of_tree, best_ious(tree.at(), truth)])
     return found, torch.bincount(truth[known].unique(return_inverse=True)[1])
 
 
@@ -85,7 +87,7 @@ def main() -> None:
             rows.append([f"{kind}, {title} points", str(chosen.shape[1] // arguments.runs), *cells])
     mean = np.mean([one.mean(1).numpy() for scenes in found.values() for one, _ in scenes], 0)
     rows.append(["all, mean of scenes", "", *(f"{value:.3f}" for value in mean)])
-    columns = ["things", "number", "best of the pieces", "best of the tree", "default level"]
+    columns = ["things", "number", "best of the superpoints", "best of the tree", "default level"]
     report.show("limits", report.table(columns, rows), arguments.write)
 
 

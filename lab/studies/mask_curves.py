@@ -55,7 +55,7 @@ ABLATION: dict[str, list[Patch]] = {
     "only touching regions merge": [
         (of_masks.MaskLinkage, "far_pairs", lambda *_: torch.empty(2, 0, dtype=torch.int64))
     ],
-    "pieces are not cut": [(of_masks, "MIXED", 1.0)],
+    "superpoints are not cut": [(of_masks, "MIXED", 1.0)],
     "crumbs stay": [(of_masks, "MIN_SIZE", 1)],
     "merged at once, not in steps": [(agglomeration, "merging_steps", lambda thresholds: [(3, thresholds[-1])])],
 }

@@ -23,7 +23,7 @@ from torchjoint.cloud.neighbors import SPACING_NEIGHBORS, nearest_neighbors
 from torchjoint.scene import Scene
 from torchjoint.scene.scene import voxel_subsample
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.segments.learned.pieces import build_piece_graph
+from torchjoint.segments.learned.superpoints import build_superpoint_graph
 
 #: Generated scenes, of seeds that no training has.
 KINDS, SEEDS = ("room", "kitchen"), (50, 51)
@@ -81,7 +81,9 @@ def features(scenes: Sequence[Scene]) -> Array:
         segmenter.reset(scene.points, scene.colors, scene.normals)
         assert segmenter.graph is not None
         assert segmenter.state is not None
-        found.append(boundary_features(build_piece_graph(segmenter.graph, segmenter.graph.scales, segmenter.state)))
+        found.append(
+            boundary_features(build_superpoint_graph(segmenter.graph, segmenter.graph.scales, segmenter.state))
+        )
     return torch.cat(found).numpy()
 
 

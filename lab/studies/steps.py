@@ -30,15 +30,15 @@ import torchjoint as tj
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Hierarchy
-from torchjoint.segments.learned import consensus, method, pieces
+from torchjoint.segments.learned import consensus, method, superpoints
 from torchjoint.segments.learned.agglomeration import build_hierarchy
 from torchjoint.segments.learned.method import segment
-from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.segments.learned.superpoint_graph import SuperpointGraph
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
 
 
-def one_tree(copies: Sequence[PieceGraph], model: Any) -> Hierarchy:
+def one_tree(copies: Sequence[SuperpointGraph], model: Any) -> Hierarchy:
     return build_hierarchy(copies[0], model)
 
 
@@ -58,10 +58,10 @@ STEPS: dict[str, tuple[tuple[Any, str, Any], ...]] = {
     "one copy of the surface, not three": ((method, "COPIES", 1),),
     "one tree, not fifteen": ((method, "build_consensus", one_tree),),
     "judges without noise": ((consensus, "NOISE", 0.0),),
-    "surfaces behind nearer things not joined": ((pieces, "find_occlusions", nothing_joined),),
+    "surfaces behind nearer things not joined": ((superpoints, "find_occlusions", nothing_joined),),
     CAMERAS: (),
     COLORLESS[0]: (),
-    COLORLESS[1]: ((pieces, "image_colors", no_colors),),
+    COLORLESS[1]: ((superpoints, "image_colors", no_colors),),
 }
 Scores = dict[str, tuple[float, float]]
 

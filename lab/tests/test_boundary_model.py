@@ -18,8 +18,8 @@ from torchjoint_lab.training import (
     labelled_evidence,
     save_boundary_model,
 )
-from torchjoint_lab.training.piece_graph_files import PieceGraphFiles, load_evidence, save_evidence
 from torchjoint_lab.training.scene_merging import SceneMerging
+from torchjoint_lab.training.superpoint_graph_files import SuperpointGraphFiles, load_evidence, save_evidence
 from torchjoint_lab.training.variation import varied
 
 from torchjoint.runtime.files import write_checked
@@ -59,7 +59,7 @@ def test_features_without_images_and_colours_are_listed(scene_of):
 
 
 def test_evidence_without_images_has_oriented_normals(scene_of, prepared):
-    """So a model is judged without images, on the same pieces' points and with the same cameras."""
+    """So a model is judged without images, on the same superpoints' points and with the same cameras."""
     evidence, instance = labelled_evidence(scene_of(0).scene, images=False)
     assert torch.equal(instance, prepared[0].instance)
     values = boundary_examples.boundary_features(evidence)
@@ -72,16 +72,16 @@ def test_evidence_without_images_has_oriented_normals(scene_of, prepared):
 
 def test_labels_and_weights(prepared):
     evidence, instance = prepared[0]
-    piece = evidence.piece
+    superpoint = evidence.superpoint
     own = torch.arange(len(evidence))
-    exact = boundary_examples.boundary_examples(evidence, own, piece)
+    exact = boundary_examples.boundary_examples(evidence, own, superpoint)
     assert exact.is_border.all()
     assert np.isclose(exact.weight.sum(), len(exact.weight) ** 0.5)
-    np.testing.assert_allclose(exact.weight, exact.weight[0])  # pieces of one instance each count alike
-    half = torch.where(torch.arange(len(piece)) % 2 == 0, piece, piece.max() + 1)
+    np.testing.assert_allclose(exact.weight, exact.weight[0])  # superpoints of one instance each count alike
+    half = torch.where(torch.arange(len(superpoint)) % 2 == 0, superpoint, superpoint.max() + 1)
     mixed = boundary_examples.boundary_examples(evidence, own, half)
-    assert mixed.weight.min() < 0.5 * mixed.weight.max()  # than pieces of several
-    void = boundary_examples.boundary_examples(evidence, own, torch.where(piece == 0, -1, piece))
+    assert mixed.weight.min() < 0.5 * mixed.weight.max()  # than superpoints of several
+    void = boundary_examples.boundary_examples(evidence, own, torch.where(superpoint == 0, -1, superpoint))
     touches = (exact.pairs == 0).any(0).numpy()
     assert touches.any()
     assert not void.weight[touches].any()
@@ -111,7 +111,7 @@ def test_rows_of_one_kind_make_no_trees():
 def test_evidence_on_disk(prepared, tmp_path):
     path = tmp_path / "scene.pt"
     save_evidence(path, prepared[0])
-    (again,) = PieceGraphFiles([path])
+    (again,) = SuperpointGraphFiles([path])
     assert torch.equal(again.instance, prepared[0].instance)
     expected = boundary_examples.boundary_features(prepared[0].evidence)
     found = boundary_examples.boundary_features(again.evidence)
@@ -147,7 +147,7 @@ def test_from_scenes_to_segments(prepared, tmp_path, set_threads):
     loaded = load_boundary_model(tmp_path / "a.npz")
     evidence = prepared[0].evidence
     segments = build_hierarchy(evidence, loaded).cut(0.5)
-    assert 1 < int(segments.max()) + 1 < int(evidence.piece.max()) + 1
+    assert 1 < int(segments.max()) + 1 < int(evidence.superpoint.max()) + 1
     set_threads(1)
     save_boundary_model(tmp_path / "b.npz", fit_boundary_model(prepared, QUICK))
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
@@ -236,8 +236,8 @@ def test_variants_of_a_merging_differ_by_noise_only(prepared):
         merging = SceneMerging(0, variant)
         merging.start(scene)
         merging.advance(scene, 1, member.rounds[0], member.calibrations[0], BoundaryModelOptions(noise=noise))
-        assert (merging.examples.pairs < int(merging.of_piece.max()) + 1).all()
-        return merging.of_piece
+        assert (merging.examples.pairs < int(merging.of_superpoint.max()) + 1).all()
+        return merging.of_superpoint
 
     undisturbed = regions(0, 2.0)
     assert torch.equal(regions(1, 0.0), undisturbed)

@@ -15,7 +15,7 @@ from torchjoint.results.folder import read_result
 from torchjoint.scene import Hierarchy
 
 LEARNED = ["--set", "boundary.detector=gradient"]
-#: Four pieces of two points. 0 and 1 merge at .4, 2 and 3 at .6, all at .8.
+#: Four superpoints of two points. 0 and 1 merge at .4, 2 and 3 at .6, all at .8.
 HIERARCHY = Hierarchy(
     torch.arange(4).repeat_interleave(2),
     torch.tensor([[0, 1], [2, 3], [0, 2]]),

@@ -79,7 +79,7 @@ def test_labels_leave_no_number_out(case):
 BARE = RegionsConfig().set(
     [
         "region_costs.weight=1",
-        "pieces.threshold=null",
+        "superpoints.threshold=null",
         "region_merging.threshold=0.41",
         "region_merging.min_size=0",
         "image_support.min_size=0",
@@ -111,7 +111,7 @@ class TestStagesByHand:
     @pytest.fixture(autouse=True)
     def no_smallest_sizes(self, monkeypatch):
         monkeypatch.setattr(regions_method, "SMOOTH_REGIONS", SmoothRegions(scale=0))  # each point keeps its normal
-        monkeypatch.setattr(regions_method, "MIN_PIECE", 0)
+        monkeypatch.setattr(regions_method, "MIN_SUPERPOINT", 0)
 
     def test_borders_merge_up_to_the_threshold(self, seen):
         case = row_of_points([0.0, 0.3, 0.5, 0.0], seen(range(5), [0] * 5))
@@ -131,34 +131,35 @@ class TestStagesByHand:
         assert labels_of(case, "region_costs.weight=0") == [0] * 6
         assert labels_of(row_of_points([0.0, 0.0, 1.0, 0.0, 0.0])) == [0] * 6  # no frame came
 
-    def test_pieces_part_what_edges_alone_do_not(self, seen):
-        """An edge across the border costs 0.3. The two pieces that it joins have no label in common: (0.3 + 1) / 2."""
+    def test_superpoints_part_what_edges_alone_do_not(self, seen):
+        """An edge across the border costs 0.3. Its two superpoints have no label in common: (0.3 + 1) / 2."""
         case = row_of_points([0.0, 0.0, 0.3, 0.0, 0.0], seen(range(6), [0] * 3 + [1] * 3))
         assert labels_of(case) == [0] * 6
-        pieces = ["pieces.threshold=0.1"]
-        assert labels_of(case, *pieces) == [0, 0, 0, 1, 1, 1]
+        superpoints = ["superpoints.threshold=0.1"]
+        assert labels_of(case, *superpoints) == [0, 0, 0, 1, 1, 1]
         # It is the mean that decides.
-        assert labels_of(case, *pieces, "region_merging.threshold=0.64") == [0, 0, 0, 1, 1, 1]
-        assert labels_of(case, *pieces, "region_merging.threshold=0.66") == [0] * 6
+        assert labels_of(case, *superpoints, "region_merging.threshold=0.64") == [0, 0, 0, 1, 1, 1]
+        assert labels_of(case, *superpoints, "region_merging.threshold=0.66") == [0] * 6
 
-    def test_pieces_join_what_edges_alone_do_not(self, seen):
-        """The other way round: an edge costs 0.6, and the pieces have the same label: (0.6 + 0) / 2."""
+    def test_superpoints_join_what_edges_alone_do_not(self, seen):
+        """The other way round: an edge costs 0.6, and the superpoints have the same label: (0.6 + 0) / 2."""
         case = row_of_points([0.0, 0.0, 0.6, 0.0, 0.0], seen(range(6), [7] * 6))
         assert labels_of(case) == [0, 0, 0, 1, 1, 1]
-        pieces = ["pieces.threshold=0.1"]
-        assert labels_of(case, *pieces) == [0] * 6
-        assert labels_of(case, *pieces, "region_merging.threshold=0.29") == [0, 0, 0, 1, 1, 1]
+        superpoints = ["superpoints.threshold=0.1"]
+        assert labels_of(case, *superpoints) == [0] * 6
+        assert labels_of(case, *superpoints, "region_merging.threshold=0.29") == [0, 0, 0, 1, 1, 1]
 
-    def test_segments_are_made_of_pieces(self, seen, monkeypatch):
-        """A piece is never split: what is too small for one has gone, although its borders are dear."""
+    def test_segments_are_made_of_superpoints(self, seen, monkeypatch):
+        """A superpoint is never split: what is too small for one has gone, although its borders are dear."""
         case = row_of_points([0.0, 0.0, 0.9, 0.6, 0.0, 0.0], seen(range(7), [0] * 3 + [1] + [2] * 3))
-        assert labels_of(case, "pieces.threshold=0.1") == [0, 0, 0, 1, 2, 2, 2]
+        assert labels_of(case, "superpoints.threshold=0.1") == [0, 0, 0, 1, 2, 2, 2]
         with monkeypatch.context() as patch:
-            patch.setattr(regions_method, "MIN_PIECE", 2)
-            assert labels_of(case, "pieces.threshold=0.1") == [0, 0, 0, 1, 1, 1, 1]
-        # Up to the pieces' own threshold, borders of 0.3 are no borders, whatever region merging would make of them.
+            patch.setattr(regions_method, "MIN_SUPERPOINT", 2)
+            assert labels_of(case, "superpoints.threshold=0.1") == [0, 0, 0, 1, 1, 1, 1]
+        # Up to the superpoints' own threshold, borders of 0.3 are no borders, whatever region merging would make of
+        # them.
         soft = row_of_points([0.0, 0.0, 0.3, 0.0, 0.0], seen(range(6), [0] * 3 + [1] * 3))
-        assert labels_of(soft, "pieces.threshold=0.35") == [0] * 6
+        assert labels_of(soft, "superpoints.threshold=0.35") == [0] * 6
 
     def test_a_small_segment_needs_an_image_s_support(self, seen):
         """Points 3-6 are a segment of their own. An image with a segment of that shape keeps it; one without does not,

@@ -24,13 +24,13 @@ def value(iou):
 
 
 def gain_of(sizes, instance):
-    """Of the node that joins pieces with so many points, each of one instance; -1 = houses."""
-    piece = torch.arange(len(sizes)).repeat_interleave(torch.tensor(sizes))
+    """Of the node that joins superpoints with so many points, each of one instance; -1 = houses."""
+    superpoint = torch.arange(len(sizes)).repeat_interleave(torch.tensor(sizes))
     count = len(sizes)
     nodes = torch.tensor([count])
     parent, level = torch.tensor([count] * count + [-1]), torch.tensor([0] * count + [1])
-    tree = Tree(torch.arange(len(piece)), piece, parent, level, nodes, torch.zeros(1, len(FEATURE_NAMES)))
-    of_point = torch.tensor(instance)[piece]
+    tree = Tree(torch.arange(len(superpoint)), superpoint, parent, level, nodes, torch.zeros(1, len(FEATURE_NAMES)))
+    of_point = torch.tensor(instance)[superpoint]
     things = len(of_point[of_point >= 0].unique())
     return float(gains(tree, PartialTruth(of_point, of_point < 0), torch.ones(things).double())[count])
 

@@ -101,13 +101,13 @@ def test_steps_are_scored_on_the_same_evidence(study, tmp_path, monkeypatch, cap
 
 
 @pytest.mark.slow  # that they start is tested above
-def test_the_best_of_pieces_and_tree_is_no_worse(study, monkeypatch, capsys):
+def test_the_best_of_superpoints_and_tree_is_no_worse(study, monkeypatch, capsys):
     limits, scene = study("limits"), make_domain_scene("desk", 3, num_views=2).scene
     monkeypatch.setattr(limits, "find_scenes", lambda *_: [NamedScene("desk", "desk-3", lambda: scene)])
     run(limits, monkeypatch, "--runs", 1)
     rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
-    pieces, tree, default = map(float, rows[-1][-3:])
-    assert 1 > pieces >= tree >= default > 0.2
+    superpoints, tree, default = map(float, rows[-1][-3:])
+    assert 1 > superpoints >= tree >= default > 0.2
     assert sum(int(row[1]) for row in rows[2:-1]) == len(scene.truth.points[scene.truth.points >= 0].unique())
     truth = torch.tensor([0, 0, 1, 1, -1])
     assert limits.best_ious(torch.tensor([5, 5, 5, 7, 7]), truth).tolist() == [2 / 3, 0.5]

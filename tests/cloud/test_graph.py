@@ -168,7 +168,7 @@ def test_the_order_along_space_is_one_of_cells(extent, monkeypatch):
     assert shuffled[order.long()].tolist() == (list(range(8)) if extent else shuffled.tolist())
 
 
-def test_points_are_asked_for_in_pieces(monkeypatch):
+def test_points_are_asked_for_in_superpoints(monkeypatch):
     points, expected = random_points(500), nearest_neighbors(random_points(500), 6, reach=0.3)
     normals = torch.nn.functional.normalize(random_points(500, 1), dim=1)
     edges, known = undirected_edges(expected.indices), torch.ones(500, dtype=torch.bool)
@@ -176,9 +176,9 @@ def test_points_are_asked_for_in_pieces(monkeypatch):
     whole = geometric_weights(points, edges, normals, known, terms)
     monkeypatch.setattr("torchjoint.cloud.neighbors.QUERIES", 64)
     monkeypatch.setattr("torchjoint.cloud.edge_weights.EDGES", 128)
-    pieces = nearest_neighbors(points, 6, reach=0.3)
-    assert torch.equal(pieces.indices, expected.indices)
-    assert torch.equal(pieces.spacing, expected.spacing)
+    superpoints = nearest_neighbors(points, 6, reach=0.3)
+    assert torch.equal(superpoints.indices, expected.indices)
+    assert torch.equal(superpoints.spacing, expected.spacing)
     assert torch.equal(
         geometric_weights(points, edges, normals, known, EdgeWeights(discounted_angle(0.05), distance=0.2)), whole
     )

@@ -65,7 +65,7 @@ def test_the_twin_agrees_when_borders_need_more_room(levels, threshold, min_size
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_separate_graphs_do_not_touch_one_another(threads):
-    """So many edges that they are merged in several pieces of work, whose regions alternate in memory."""
+    """So many edges that they are merged in several superpoints of work, whose regions alternate in memory."""
     copies, levels = 40, 50
     edges, size = random_regions(seed=3, num_regions=60, num_edges=1000)
     cost = torch.randint(levels, (1000,), generator=torch.Generator().manual_seed(2)) / (levels - 1)

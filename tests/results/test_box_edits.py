@@ -148,7 +148,7 @@ def test_cuboids_without_names_leave_the_names(tmp_path):
     label["annotations"][1]["attributes"] = {"name": ""}
     (tmp_path / "a.json").write_text(json.dumps(label))
     (step,) = edits_of_boxes(result, read_boxes(tmp_path / "a.json")).steps
-    assert (step.kind, step.pieces, step.name) == ("name", (1,), "")
+    assert (step.kind, step.superpoints, step.name) == ("name", (1,), "")
 
 
 def test_a_deleted_box_joins_and_a_name_is_taken():
@@ -156,7 +156,7 @@ def test_a_deleted_box_joins_and_a_name_is_taken():
     table, block_on_it, beside = boxes_of(result).values()
     larger = table._replace(center=(0, 0, 0.6), size=(2, 1, 1.2), name="desk")
     changes = edits_of_boxes(result, [beside, larger])
-    assert [(step.kind, step.pieces, step.name) for step in changes.steps] == [
+    assert [(step.kind, step.superpoints, step.name) for step in changes.steps] == [
         ("join", (0, 1), ""),
         ("name", (0,), "desk"),
     ]
@@ -340,7 +340,7 @@ def test_segments_without_points_have_no_box(tmp_path):
 
 
 def test_a_second_import_goes_on_from_the_first(run, tmp_path):
-    """Without a hierarchy, pieces are the segments on disk, and not those that corrections have renumbered."""
+    """Without a hierarchy, superpoints are the segments on disk, and not those that corrections have renumbered."""
     table, on_it, far = (
         block((0, 0, 0.5), (2, 1, 1), 0.3),
         block((0.1, 0, 1.1), (0.2, 0.3, 0.2), 1.0),

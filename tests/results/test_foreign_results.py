@@ -44,7 +44,7 @@ def _segment(path, out):
 
 def everything(out):
     found = tj.load_result(out)
-    return [*found.images, *(frame.image for frame in found.scene.frames), *found.piece_images]
+    return [*found.images, *(frame.image for frame in found.scene.frames), *found.superpoint_images]
 
 
 @pytest.mark.parametrize("trap", traps.TRAPS)

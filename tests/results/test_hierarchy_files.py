@@ -7,7 +7,7 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.results.folder import read_result, write_result
-from torchjoint.results.manifest import read_hierarchy, read_piece_image, write_hierarchy
+from torchjoint.results.manifest import read_hierarchy, read_superpoint_image, write_hierarchy
 from torchjoint.scene import Hierarchy
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
@@ -66,20 +66,20 @@ def test_a_result_without_levels(tmp_path, scene):
         read_hierarchy(tmp_path / "out", 6000)
 
 
-def test_pieces_of_more_than_16_bits(tmp_path):
-    num_pieces = 70_000
-    chain = torch.arange(num_pieces)
-    heights = torch.full((num_pieces - 1,), 0.5, dtype=torch.float64)
+def test_superpoints_of_more_than_16_bits(tmp_path):
+    num_superpoints = 70_000
+    chain = torch.arange(num_superpoints)
+    heights = torch.full((num_superpoints - 1,), 0.5, dtype=torch.float64)
     hierarchy = Hierarchy(chain, torch.stack([chain[:-1], chain[1:]], dim=1), heights)
     image = torch.tensor([[-1, 0, 255], [256, 65_535, 69_999]])
     write_hierarchy(tmp_path, hierarchy, ["a"], [image])
-    assert torch.equal(read_piece_image(tmp_path / "pieces" / "a.png", num_pieces), image)
-    read = read_hierarchy(tmp_path, num_pieces)
-    assert torch.equal(read.piece, chain)
+    assert torch.equal(read_superpoint_image(tmp_path / "pieces" / "a.png", num_superpoints), image)
+    read = read_hierarchy(tmp_path, num_superpoints)
+    assert torch.equal(read.superpoint, chain)
     assert torch.equal(read.merges, hierarchy.merges)
     assert torch.equal(read.heights, heights)
-    with pytest.raises(ValueError, match=r"a\.png: expected pieces below 69999, got 69999; of another result"):
-        read_piece_image(tmp_path / "pieces" / "a.png", 69_999)
+    with pytest.raises(ValueError, match=r"a\.png: expected superpoints below 69999, got 69999; of another result"):
+        read_superpoint_image(tmp_path / "pieces" / "a.png", 69_999)
 
 
 class TestDamage:
@@ -105,14 +105,14 @@ class TestDamage:
             with pytest.raises(ValueError, match=r"hierarchy\.npz: not a whole hierarchy"):
                 read_hierarchy(tmp_path, 3)
 
-    def test_a_piece_image_is_missing(self, tmp_path, scene, result):
+    def test_a_superpoint_image_is_missing(self, tmp_path, scene, result):
         read = read_result(written(tmp_path / "out", scene, result))
         next((tmp_path / "out" / "pieces").iterdir()).unlink()
         with pytest.raises(FileNotFoundError, match="missing; expected an image"):
             list(read.at(0.9).images)
-        list(read.at(0.1).images)  # coarser levels need no pieces
+        list(read.at(0.1).images)  # coarser levels need no superpoints
 
     def test_a_grey_image_of_16_bits(self, tmp_path):
         Image.fromarray(np.zeros((2, 2), np.uint16)).save(tmp_path / "a.png")
         with pytest.raises(ValueError, match="expected an 8-bit image"):
-            read_piece_image(tmp_path / "a.png", 3)
+            read_superpoint_image(tmp_path / "a.png", 3)

@@ -120,11 +120,11 @@ NOTICED_WITHOUT = {
 }  # fmt: skip
 NOTICED_WITH = NOTICED_WITHOUT | {
     "swapped images": swap("images"),
-    "swapped pieces": swap("pieces"),
+    "swapped superpoints": swap("pieces"),
     "swapped inputs": swap("inputs"),
     "another label": labels(lambda array: put(0, array.max())(array)),
     "one image more": lambda folder: shutil.copy(next((folder / "images").iterdir()), folder / "images" / "z.png"),
-    "no pieces": lambda folder: shutil.rmtree(folder / "pieces"),
+    "no superpoints": lambda folder: shutil.rmtree(folder / "pieces"),
     "no cameras": lambda folder: (folder / "cameras.json").unlink(),
     "no hierarchy": lambda folder: (folder / "hierarchy.npz").unlink(),
     "a record that was cut": lambda folder: (folder / "run.yaml").write_text(
@@ -150,7 +150,7 @@ def test_what_was_changed_is_noticed(out, damage):
 @pytest.mark.parametrize("damage", NOTICED_WITHOUT.values(), ids=NOTICED_WITHOUT)
 def test_what_is_noticed_without_a_manifest(old, damage):
     damage(old)
-    with pytest.raises((ValueError, TypeError, FileNotFoundError), match=rf"{old}|pieces of image 0"):
+    with pytest.raises((ValueError, TypeError, FileNotFoundError), match=rf"{old}|superpoints of image 0"):
         read_all(old)
 
 
@@ -177,7 +177,7 @@ def test_the_way_out(out):
 
 def test_corrections_and_other_files_are_free(out):
     (out / "edits.json").write_text((OLD / "edits.json").read_text().replace("[0]", "[0]"))
-    count = tj.load_result(out, edits=False).hierarchy.num_pieces
+    count = tj.load_result(out, edits=False).hierarchy.num_superpoints
     text = (out / "edits.json").read_text()
     (out / "edits.json").write_text(text.replace(text.split('"pieces": ')[1].split(",")[0], str(count), 1))
     (out / "notes.txt").write_text("mine")

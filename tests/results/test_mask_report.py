@@ -122,9 +122,9 @@ class TestARun:
         copy = shutil.copytree(out, tmp_path / "out")
         plain = tj.load_result(copy)
         (segment, *_), parts = plain.segment_names, Parts(plain)
-        pieces = tuple(np.flatnonzero(parts.stored == segment).tolist())
+        superpoints = tuple(np.flatnonzero(parts.stored == segment).tolist())
         for name, expected in (("sofa", "sofa"), ("", None)):
-            write_edits(copy, Edits(parts.count, steps=(Edit("name", pieces[:1], name),)))
+            write_edits(copy, Edits(parts.count, steps=(Edit("name", superpoints[:1], name),)))
             loaded = tj.load_result(copy)
             assert loaded.segment_names.get(segment) == expected
             run("export", copy, "--format", "csv", "-o", tmp_path / "a.csv", "--overwrite")

@@ -37,7 +37,7 @@ def run(scene_of):
     scene = replace(scene, frames=(scene.frames[0],) * count, truth=None)
     return scene, replace(
         result, images=[result.images[0]] * count, initial_images=[result.initial_images[0]] * count,
-        piece_images=[result.piece_images[0]] * count,
+        superpoint_images=[result.superpoint_images[0]] * count,
     )  # fmt: skip
 
 
@@ -66,7 +66,7 @@ def test_any_name_is_written_read_and_exported(run, place, tmp_path):
     for index, name in enumerate(read.names):
         assert read.scene.frames[index].name == name
         assert (read.images[index] == result.images[0]).all()
-    assert read.at(1.0).images[0].max() >= 0  # reads the pieces
+    assert read.at(1.0).images[0].max() >= 0  # reads the superpoints
     read.embed(lambda crops: crops.mean((2, 3)), size=8).save(out)  # an export needs vectors
     read = tj.load_result(out)
     for form, export in FORMATS.items():
@@ -76,8 +76,8 @@ def test_any_name_is_written_read_and_exported(run, place, tmp_path):
     assert len([key for key in arrays if key.startswith("image:")]) == len(names)
     coco = json.loads((place / "coco.coco").read_text())
     assert {one["file_name"] for one in coco["images"]} == {file.name for file in (out / "inputs").iterdir()}
-    model = Model(read, Edits(read.hierarchy.num_pieces), np.array([0.0, 0.0, 1.0]))
-    model.select((int(model.table[read.hierarchy.piece[read.points.argmin()]]),))
+    model = Model(read, Edits(read.hierarchy.num_superpoints), np.array([0.0, 0.0, 1.0]))
+    model.select((int(model.table[read.hierarchy.superpoint[read.points.argmin()]]),))
     for kind in ("PLY", "PNG", "COCO"):
         assert os.path.basename(export_selected(model, kind)[0]) == export_selected(model, kind)[0]
     masks = zipfile.ZipFile(io.BytesIO(export_selected(model, "PNG")[1])).namelist()
@@ -149,7 +149,7 @@ def test_nothing_is_written_through_a_link(run, place, tmp_path):
 
 
 def test_an_unknown_kind_of_export(run):
-    model = Model(tj.Result.of(run[1], run[0]), Edits(run[1].hierarchy.num_pieces), np.array([0.0, 0.0, 1.0]))
+    model = Model(tj.Result.of(run[1], run[0]), Edits(run[1].hierarchy.num_superpoints), np.array([0.0, 0.0, 1.0]))
     model.select((0,))
     with pytest.raises(ValueError, match="export: expected PLY, PNG or COCO, got 'EXE'"):
         export_selected(model, "EXE")

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 import torchjoint as tj
 from torchjoint.scene import Hierarchy
 
-#: Six pieces, one point each: ((0 1) .2, (2 3) .4) .6, (4 5) .3, and all at .9.
+#: Six superpoints, one point each: ((0 1) .2, (2 3) .4) .6, (4 5) .3, and all at .9.
 MERGES = torch.tensor([[0, 1], [2, 3], [1, 2], [4, 5], [0, 5]])
 HEIGHTS = torch.tensor([0.2, 0.4, 0.6, 0.3, 0.9], dtype=torch.float64)
 
 
 def result_of(hierarchy, image=None):
-    points = torch.arange(len(hierarchy.piece), dtype=torch.float32)[:, None] * torch.tensor([1.0, 0, 0])
+    points = torch.arange(len(hierarchy.superpoint), dtype=torch.float32)[:, None] * torch.tensor([1.0, 0, 0])
     frames = [] if image is None else [tj.Frame(torch.zeros(3, *image.shape), torch.eye(3), torch.eye(4))]
     labels = hierarchy.at()
     images = [] if image is None else [torch.where(image >= 0, labels[image.clamp(min=0)], 9)]
@@ -23,7 +23,7 @@ def result_of(hierarchy, image=None):
     segmentation = (
         segmentation
         if image is None
-        else tj.Segmentation(labels, images, names=("a",), hierarchy=hierarchy, piece_images=[image])
+        else tj.Segmentation(labels, images, names=("a",), hierarchy=hierarchy, superpoint_images=[image])
     )
     return tj.Result.of(segmentation, tj.Scene(points, frames))
 
@@ -47,16 +47,16 @@ def by_hand():
 )
 def test_by_hand(chosen, negative, expected):
     picked = by_hand().pick(torch.tensor(chosen), negative=torch.tensor(negative, dtype=torch.int64))
-    assert picked.pieces.tolist() == expected
+    assert picked.superpoints.tolist() == expected
     assert picked.points.nonzero().flatten().tolist() == expected
 
 
 def test_positions_and_pixels():
     result = by_hand()
-    assert result.pick(torch.tensor([[0.4, 5, 0], [2.8, 0, 0]])).pieces.tolist() == [0, 1, 2, 3]
-    assert result.pick(pixels=[(0, 1, 0)]).pieces.tolist() == [0, 1]
-    assert result.pick(pixels=[(0, 1, 0)], negative_pixels=[(0, 0, 0)]).pieces.tolist() == [1]
-    mask = torch.isin(result.piece_images[0], result.pick(torch.tensor([3])).pieces)
+    assert result.pick(torch.tensor([[0.4, 5, 0], [2.8, 0, 0]])).superpoints.tolist() == [0, 1, 2, 3]
+    assert result.pick(pixels=[(0, 1, 0)]).superpoints.tolist() == [0, 1]
+    assert result.pick(pixels=[(0, 1, 0)], negative_pixels=[(0, 0, 0)]).superpoints.tolist() == [1]
+    mask = torch.isin(result.superpoint_images[0], result.pick(torch.tensor([3])).superpoints)
     assert mask.tolist() == [[False, False, True], [True, False, False]]
 
 
@@ -80,7 +80,7 @@ def test_without_a_hierarchy_there_are_whole_segments():
         ({"pixels": [(0, 3, 0)]}, "pixels: expected a pixel of 3 x 2, got 3, 0"),
         ({"pixels": [(0, 2, 1)]}, "pixels: expected a pixel of a segment of the cloud; 2, 1 is of none"),
         ({"pixels": [(0.5, 2, 1)]}, r"pixels: expected \(frame, column, row\), got"),
-        ({"points": torch.tensor([1]), "negative": torch.tensor([1])}, "both are in piece 1"),
+        ({"points": torch.tensor([1]), "negative": torch.tensor([1])}, "both are in superpoint 1"),
         ({"points": torch.tensor([1]), "negative": torch.tensor([-1])}, r"negative: expected indices in \[0, 6\)"),
     ],
 )
@@ -102,8 +102,8 @@ def hierarchies(draw):
 
 @given(hierarchies(), st.data())
 def test_every_pick_is_as_large_as_it_may_be(hierarchy, data):
-    """Against all segments of all levels: the largest that have a chosen piece, no other, and are not too high."""
-    count = hierarchy.num_pieces
+    """Against all segments of all levels: the largest that have a chosen superpoint, no other, and are not too high."""
+    count = hierarchy.num_superpoints
     chosen = data.draw(st.sets(st.integers(0, count - 1), min_size=1, max_size=3))
     negative = data.draw(st.sets(st.integers(0, count - 1), max_size=3)) - chosen
     levels = [float(one) for one in hierarchy.heights.unique()]
@@ -120,7 +120,7 @@ def test_every_pick_is_as_large_as_it_may_be(hierarchy, data):
     picked = result_of(hierarchy).pick(
         torch.tensor(sorted(chosen)), negative=torch.tensor(sorted(negative), dtype=torch.int64)
     )
-    found = set(picked.pieces.tolist())
+    found = set(picked.superpoints.tolist())
     assert chosen <= found
     assert not found & negative
     assert expected <= found  # merges of equal height come one after the other, so it may be larger

@@ -18,13 +18,13 @@ from torchjoint.results.parts import Parts
 from torchjoint.results.shared_edits import PointLabels, edits_of_points, read_point_labels
 
 
-def parts_of(piece, stored):
-    """A result whose pieces [N] form the stored segments [P]."""
-    piece, stored = torch.tensor(piece), torch.tensor(stored)
-    scene = tj.Scene(torch.arange(3.0 * len(piece)).reshape(-1, 3))
-    result = tj.Result.of(tj.Segmentation(stored[piece].unique(return_inverse=True)[1], ()), scene)
+def parts_of(superpoint, stored):
+    """A result whose superpoints [N] form the stored segments [P]."""
+    superpoint, stored = torch.tensor(superpoint), torch.tensor(stored)
+    scene = tj.Scene(torch.arange(3.0 * len(superpoint)).reshape(-1, 3))
+    result = tj.Result.of(tj.Segmentation(stored[superpoint].unique(return_inverse=True)[1], ()), scene)
     parts = Parts(result)
-    vars(parts).update(of_point=piece.numpy(), stored=stored.numpy())  # as of a hierarchy
+    vars(parts).update(of_point=superpoint.numpy(), stored=stored.numpy())  # as of a hierarchy
     return parts
 
 
@@ -33,46 +33,46 @@ def changes_of(parts, of_point, names=None, before=None):
     return edits_of_points(parts, before or Edits(parts.count), labels)
 
 
-#: Four pieces of two points each; the first two form segment 0, the others 1.
-PIECES, STORED = [0, 0, 1, 1, 2, 2, 3, 3], [0, 0, 1, 1]
+#: Four superpoints of two points each; the first two form segment 0, the others 1.
+SUPERPOINTS, STORED = [0, 0, 1, 1, 2, 2, 3, 3], [0, 0, 1, 1]
 
 
 def test_what_nobody_edited_changes_nothing():
-    assert changes_of(parts_of(PIECES, STORED), [7, 7, 7, 7, 3, 3, 3, 3]) == ((), 0)
-    assert changes_of(parts_of(PIECES, STORED), [0] * 8) == ((), 0)  # all objects were deleted
+    assert changes_of(parts_of(SUPERPOINTS, STORED), [7, 7, 7, 7, 3, 3, 3, 3]) == ((), 0)
+    assert changes_of(parts_of(SUPERPOINTS, STORED), [0] * 8) == ((), 0)  # all objects were deleted
 
 
-def test_many_names_of_many_pieces_take_little_memory():
+def test_many_names_of_many_superpoints_take_little_memory():
     parts = parts_of(range(50_000), np.arange(50_000) // 100)
     steps = tuple(Edit("name", (100 * segment,), f"tree {segment}") for segment in range(500))
     tracemalloc.start()
     assert len(parts.names(Edits(parts.count, steps=steps))) == 500
-    assert tracemalloc.get_traced_memory()[1] < 8e6  # a table of all pieces for each name: 25 MB
+    assert tracemalloc.get_traced_memory()[1] < 8e6  # a table of all superpoints for each name: 25 MB
     tracemalloc.stop()
 
 
 @pytest.mark.parametrize("name", ["thing", " a chair "])
 def test_a_name_that_files_hold_in_another_way_is_not_edited(name):
-    parts, told = parts_of(PIECES, STORED), "" if name == "thing" else name.strip()
+    parts, told = parts_of(SUPERPOINTS, STORED), "" if name == "thing" else name.strip()
     before = Edits(parts.count, steps=(Edit("name", (0,), name),))
     assert changes_of(parts, [7, 7, 7, 7, 3, 3, 3, 3], {7: told}, before) == ((), 0)
 
 
-def test_pieces_go_to_the_object_of_most_of_their_points():
-    parts = parts_of(PIECES, STORED)
+def test_superpoints_go_to_the_object_of_most_of_their_points():
+    parts = parts_of(SUPERPOINTS, STORED)
     assert changes_of(parts, [7, 7, 3, 3, 3, 3, 3, 3])[0] == (Edit("gather", (1, 2, 3)),)
     assert changes_of(parts, [7, 7, 7, 7, 3, 3, 4, 4])[0] == (Edit("gather", (3,)),)
     assert changes_of(parts, [7] * 8)[0] == (Edit("gather", (0, 1, 2, 3)),)
-    # Points without an object follow their segment, and those that are fewer their piece.
+    # Points without an object follow their segment, and those that are fewer their superpoint.
     assert changes_of(parts, [7, 7, 0, 0, 7, 7, 7, 7])[0] == (Edit("gather", (0, 1, 2, 3)),)
     assert changes_of(parts, [7, 7, 0, 0, 3, 3, 3, 7]) == ((), 1)
 
 
 def test_names_are_those_after_the_edits():
-    parts = parts_of(PIECES, STORED)
+    parts = parts_of(SUPERPOINTS, STORED)
     before = Edits(4, None, (Edit("name", (1,), "chair"),))
     assert changes_of(parts, [7, 7, 7, 7, 3, 3, 3, 3], {7: "chair", 3: "", 9: "gone"}, before) == ((), 0)
-    # The named piece leaves, so its segment has to be named again.
+    # The named superpoint leaves, so its segment has to be named again.
     steps, _ = changes_of(parts, [7, 7, 3, 3, 3, 3, 3, 3], {7: "chair", 3: "desk"}, before)
     assert steps == (
         Edit("gather", (1, 2, 3)),
@@ -83,7 +83,7 @@ def test_names_are_those_after_the_edits():
 
 @given(st.data())
 def test_the_edits_make_the_objects(data):
-    """Where each piece has one object, the segments after the edits are the objects."""
+    """Where each superpoint has one object, the segments after the edits are the objects."""
     count = data.draw(st.integers(1, 8))
     numbers = st.lists(st.integers(0, 3), min_size=count, max_size=count)
     stored, wanted = data.draw(numbers), np.array(data.draw(numbers)) + 1
@@ -108,8 +108,10 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     run("edits", "import", out, file)
     assert "0 things gathered, 0 names changed" in capsys.readouterr().out
     assert not (out / "edits.json").exists()
-    pieces = before.hierarchy.piece
-    moved = pieces == pieces[before.points == before.points.bincount().argmax()][0]  # one piece of the largest
+    superpoints = before.hierarchy.superpoint
+    moved = (
+        superpoints == superpoints[before.points == before.points.bincount().argmax()][0]
+    )  # one piece of the largest
     ids = torch.where(moved | (before.points == 0), 1, before.points + 1)
     label["point_annotations"] = ids.tolist()
     label["annotations"][0]["attributes"]["name"] = "a thing of two"

@@ -270,8 +270,8 @@ class TestExports:
 
 def test_names_at_other_levels():
     """A part of a cup is a cup; a cup and a box together have no name."""
-    piece, merges = torch.tensor([0, 0, 1, 2]), torch.tensor([[0, 1], [0, 2]])
-    hierarchy = tj.Hierarchy(piece, merges, torch.tensor([0.3, 0.7], dtype=torch.float64))
+    superpoint, merges = torch.tensor([0, 0, 1, 2]), torch.tensor([[0, 1], [0, 2]])
+    hierarchy = tj.Hierarchy(superpoint, merges, torch.tensor([0.3, 0.7], dtype=torch.float64))
     result = tj.Result.of(tj.Segmentation(hierarchy.at(), (), hierarchy=hierarchy), tj.Scene(torch.rand(4, 3)))
     named = dataclasses.replace(result, segment_names={0: "cup", 1: "box"})
     assert named.at(1.0).segment_names == {0: "cup", 1: "cup", 2: "box"}

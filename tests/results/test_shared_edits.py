@@ -88,7 +88,7 @@ def test_only_one_saves_at_a_time(out):
 
 
 def test_corrections_of_the_same_cloud_in_another_order(scene_of, out, tmp_path):
-    """It has as many pieces, but they are others."""
+    """It has as many superpoints, but they are others."""
     scene = scene_of(3).scene
     other = written(scene.select_points(torch.arange(len(scene.points)).flip(0)), tmp_path / "other")
     parts, before = opened(out)

@@ -1,4 +1,4 @@
-"""Levels: by hand, nested in points and images, errors; with pieces, merges and images that are drawn."""
+"""Levels: by hand, nested in points and images, errors; with superpoints, merges and images that are drawn."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torchjoint.scene import Hierarchy, LabelImages, Segmentation
 from torchjoint.scene.hierarchy import check_granularity
 
-#: Six points in four pieces; 0 and 2 merge at .25, with 3 at .5; 1 joins at .75.
+#: Six points in four superpoints; 0 and 2 merge at .25, with 3 at .5; 1 joins at .75.
 BY_HAND = Hierarchy(
     torch.tensor([0, 0, 1, 2, 3, 2]),
     torch.tensor([[0, 2], [2, 3], [1, 0]]),
@@ -19,40 +19,42 @@ BY_HAND = Hierarchy(
 )
 
 
-def random_hierarchy(generator, num_points, num_pieces, default=0.5):
+def random_hierarchy(generator, num_points, num_superpoints, default=0.5):
     """Merges of random trees, with heights that never fall on the way up; some heights are equal."""
-    order = torch.randint(num_pieces, (num_points,), generator=generator)
+    order = torch.randint(num_superpoints, (num_points,), generator=generator)
     number = {}
-    piece = torch.tensor([number.setdefault(int(p), len(number)) for p in order])
-    num_pieces = len(number)
-    merges, heights, group = [], [], list(range(num_pieces))
-    for height in sorted((torch.randint(1, 9, (num_pieces,), generator=generator) / 8).tolist()):
-        a, b = torch.randint(num_pieces, (2,), generator=generator).tolist()
+    superpoint = torch.tensor([number.setdefault(int(p), len(number)) for p in order])
+    num_superpoints = len(number)
+    merges, heights, group = [], [], list(range(num_superpoints))
+    for height in sorted((torch.randint(1, 9, (num_superpoints,), generator=generator) / 8).tolist()):
+        a, b = torch.randint(num_superpoints, (2,), generator=generator).tolist()
         if group[a] != group[b]:
             group = [group[a] if g == group[b] else g for g in group]
             merges.append((a, b))
             heights.append(height)
     merges = torch.tensor(merges, dtype=torch.int64).view(-1, 2)
-    return Hierarchy(piece, merges, torch.tensor(heights, dtype=torch.float64), default)
+    return Hierarchy(superpoint, merges, torch.tensor(heights, dtype=torch.float64), default)
 
 
-def random_segmentation(seed, num_points=60, num_pieces=20, default=0.5):
+def random_segmentation(seed, num_points=60, num_superpoints=20, default=0.5):
     """Points and two images of the default level; images also have pixels without a label, and ids of their own."""
     generator = torch.Generator().manual_seed(seed)
-    hierarchy = random_hierarchy(generator, num_points, num_pieces, default)
+    hierarchy = random_hierarchy(generator, num_points, num_superpoints, default)
     points = hierarchy.at()
     first_private = int(points.max()) + 1
-    of_piece = hierarchy.segments_of_pieces(default)
-    images, pieces = [], []
+    of_superpoint = hierarchy.segments_of_superpoints(default)
+    images, superpoints = [], []
     for private in ([0, 1], [2]):
-        piece = torch.randint(-1, hierarchy.num_pieces, (6, 7), generator=generator)
-        labels = torch.where(piece < 0, -1, of_piece[piece])
+        superpoint = torch.randint(-1, hierarchy.num_superpoints, (6, 7), generator=generator)
+        labels = torch.where(superpoint < 0, -1, of_superpoint[superpoint])
         for number in private:
             labels[number] = first_private + number
-            piece[number] = -1
+            superpoint[number] = -1
         images.append(labels)
-        pieces.append(piece)
-    return Segmentation(points, LabelImages(images), names=("a", "b"), hierarchy=hierarchy, piece_images=pieces)
+        superpoints.append(superpoint)
+    return Segmentation(
+        points, LabelImages(images), names=("a", "b"), hierarchy=hierarchy, superpoint_images=superpoints
+    )
 
 
 def is_inside(fine, coarse):
@@ -94,7 +96,7 @@ def test_another_default():
         assert dataclasses.replace(BY_HAND, default=default).height_of(0.5) == default
 
 
-def test_one_piece():
+def test_one_superpoint():
     hierarchy = Hierarchy(torch.zeros(3, dtype=torch.int64), torch.empty(0, 2).long(), torch.empty(0).double())
     assert hierarchy.at(0.2).tolist() == [0, 0, 0]
 
@@ -131,11 +133,11 @@ def test_levels_are_nested(seed, one, other, default):
 
 def test_other_points_by_hand():
     other, number = BY_HAND.transferred(torch.tensor([4, 3, 3, 0, 2]))
-    assert other.piece.tolist() == [0, 1, 1, 2, 3]
+    assert other.superpoint.tolist() == [0, 1, 1, 2, 3]
     assert number.tolist() == [2, 3, 1, 0]
     assert other.merges.tolist() == [[2, 1], [1, 0], [3, 2]]
     assert other.at(0.5).tolist() == [0, 0, 0, 0, 1]
-    with pytest.raises(ValueError, match="of_point: expected points of all 4 pieces"):
+    with pytest.raises(ValueError, match="of_point: expected points of all 4 superpoints"):
         BY_HAND.transferred(torch.tensor([0, 1, 2, 3]))
 
 
@@ -150,7 +152,7 @@ def test_other_points_have_the_same_levels(seed, granularity):
     assert is_inside(got, expected)
     assert is_inside(expected, got)
     assert numbered_by_first_appearance(got)
-    assert torch.equal(number[hierarchy.piece[of_point]], other.piece)
+    assert torch.equal(number[hierarchy.superpoint[of_point]], other.superpoint)
 
 
 @few_and_many(30, 300, seed=st.integers(0, 2**32 - 1), granularity=st.floats(0, 1))
@@ -197,11 +199,11 @@ def test_without_a_hierarchy():
         Segmentation(torch.zeros(3, dtype=torch.int64), ()).at(0.5)
 
 
-def test_finer_images_need_the_pieces():
-    result = dataclasses.replace(random_segmentation(0), piece_images=())
+def test_finer_images_need_the_superpoints():
+    result = dataclasses.replace(random_segmentation(0), superpoint_images=())
     result.at(0.1)
     with pytest.raises(
-        ValueError, match=r"piece_images: expected one for each of 2 images \(finer levels need them\), got 0"
+        ValueError, match=r"superpoint_images: expected one for each of 2 images \(finer levels need them\), got 0"
     ):
         result.at(1.0)
 
@@ -209,19 +211,23 @@ def test_finer_images_need_the_pieces():
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        ({"piece": BY_HAND.piece.int()}, TypeError, "piece: expected a torch.int64 tensor of 1 dimensions, got"),
-        ({"piece": [0, 1]}, TypeError, "piece: expected a torch.int64 tensor of 1 dimensions, got list"),
         (
-            {"piece": torch.empty(0).long()},
-            ValueError,
-            "piece: expected numbers >= 0, or -1 = none, of which the first is 0",
+            {"superpoint": BY_HAND.superpoint.int()},
+            TypeError,
+            "superpoint: expected a torch.int64 tensor of 1 dimensions, got",
         ),
-        ({"piece": BY_HAND.piece - 2}, ValueError, "piece: expected numbers >= 0"),
-        ({"piece": torch.tensor([0, 2, 1, 3])}, ValueError, "piece: expected numbers by first appearance"),
+        ({"superpoint": [0, 1]}, TypeError, "superpoint: expected a torch.int64 tensor of 1 dimensions, got list"),
+        (
+            {"superpoint": torch.empty(0).long()},
+            ValueError,
+            "superpoint: expected numbers >= 0, or -1 = none, of which the first is 0",
+        ),
+        ({"superpoint": BY_HAND.superpoint - 2}, ValueError, "superpoint: expected numbers >= 0"),
+        ({"superpoint": torch.tensor([0, 2, 1, 3])}, ValueError, "superpoint: expected numbers by first appearance"),
         ({"merges": BY_HAND.merges[:2]}, ValueError, "merges: expected shape"),
         ({"merges": BY_HAND.merges.t()}, ValueError, "merges: expected shape"),
-        ({"merges": BY_HAND.merges + 1}, ValueError, r"merges: expected pieces in \[0, 4\)"),
-        ({"piece": torch.tensor([0, 1, 2])}, ValueError, "merges: expected shape .* below 3 pieces"),
+        ({"merges": BY_HAND.merges + 1}, ValueError, r"merges: expected superpoints in \[0, 4\)"),
+        ({"superpoint": torch.tensor([0, 1, 2])}, ValueError, "merges: expected shape .* below 3 superpoints"),
         ({"heights": BY_HAND.heights.float()}, TypeError, "heights: expected a torch.float64 tensor"),
         ({"heights": BY_HAND.heights * 2}, ValueError, r"heights: expected numbers in \[0, 1\]"),
         ({"heights": BY_HAND.heights * torch.nan}, ValueError, r"heights: expected numbers in \[0, 1\]"),

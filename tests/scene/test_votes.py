@@ -15,7 +15,7 @@ from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import OFFSET, PER_IOU, PER_LOG_POINTS, Votes
 
 
-def by_hand(votes, of_piece):
+def by_hand(votes, of_superpoint):
     """The same with sets of points."""
     points, start = [], 0
     for size in votes.size.tolist():
@@ -25,9 +25,9 @@ def by_hand(votes, of_piece):
     def segment(labels, number):
         return set().union(*(points[p] for p in range(len(points)) if labels[p] == number))
 
-    of_segment, of_piece_ = {}, [0.0] * len(points)
-    for number in sorted(set(of_piece)):
-        own, ious, partners = segment(of_piece, number), [], []
+    of_segment, of_superpoint_ = {}, [0.0] * len(points)
+    for number in sorted(set(of_superpoint)):
+        own, ious, partners = segment(of_superpoint, number), [], []
         for member in votes.segments.tolist():
             found = [
                 (len(own & other) / len(own | other), -k) for k in sorted(set(member)) for other in [segment(member, k)]
@@ -37,11 +37,13 @@ def by_hand(votes, of_piece):
             partners.append(-partner)
         log_odds = OFFSET + PER_IOU * sum(ious) / len(ious) + PER_LOG_POINTS * math.log(len(own))
         of_segment[number] = 1 / (1 + math.exp(-log_odds))
-        for piece in range(len(points)):
-            if of_piece[piece] == number:
-                there = [member[piece] == one for member, one in zip(votes.segments.tolist(), partners, strict=True)]
-                of_piece_[piece] = of_segment[number] * sum(there) / len(there)
-    return [of_segment[number] for number in sorted(of_segment)], of_piece_
+        for superpoint in range(len(points)):
+            if of_superpoint[superpoint] == number:
+                there = [
+                    member[superpoint] == one for member, one in zip(votes.segments.tolist(), partners, strict=True)
+                ]
+                of_superpoint_[superpoint] = of_segment[number] * sum(there) / len(there)
+    return [of_segment[number] for number in sorted(of_segment)], of_superpoint_
 
 
 @given(st.data())
@@ -50,27 +52,27 @@ def test_by_hand(data):
     labels = st.lists(st.integers(0, count - 1), min_size=count, max_size=count)
     members = data.draw(st.lists(labels, min_size=1, max_size=4))
     size = data.draw(st.lists(st.integers(1, 5), min_size=count, max_size=count))
-    of_piece = torch.unique(torch.tensor(data.draw(labels)), return_inverse=True)[1]
+    of_superpoint = torch.unique(torch.tensor(data.draw(labels)), return_inverse=True)[1]
     votes = Votes(torch.tensor(members), torch.tensor(size))
-    found, expected = votes.confidence(of_piece), by_hand(votes, of_piece.tolist())
+    found, expected = votes.confidence(of_superpoint), by_hand(votes, of_superpoint.tolist())
     assert found.of_segment.tolist() == pytest.approx(expected[0])
-    assert found.of_piece.tolist() == pytest.approx(expected[1])
+    assert found.of_superpoint.tolist() == pytest.approx(expected[1])
 
 
-def test_other_numbers_of_the_pieces_give_the_same():
+def test_other_numbers_of_the_superpoints_give_the_same():
     votes = Votes(torch.tensor([[0, 0, 1, 1], [0, 1, 1, 2]]), torch.tensor([40, 30, 20, 10]))
-    number, of_piece = torch.tensor([2, 0, 3, 1]), torch.tensor([0, 0, 1, 1])
+    number, of_superpoint = torch.tensor([2, 0, 3, 1]), torch.tensor([0, 0, 1, 1])
     renumbered = torch.empty(4, dtype=torch.int64)
-    renumbered[number] = of_piece
-    expected, found = votes.confidence(of_piece), votes.renumbered(number).confidence(renumbered)
+    renumbered[number] = of_superpoint
+    expected, found = votes.confidence(of_superpoint), votes.renumbered(number).confidence(renumbered)
     assert torch.equal(found.of_segment, expected.of_segment)
-    assert torch.equal(found.of_piece[number], expected.of_piece)
+    assert torch.equal(found.of_superpoint[number], expected.of_superpoint)
 
 
 def segmentation(votes):
-    piece = torch.tensor([0, 1, 1, 2])
+    superpoint = torch.tensor([0, 1, 1, 2])
     merges, heights = torch.tensor([[0, 1]]), torch.tensor([0.4], dtype=torch.float64)
-    return tj.Segmentation(torch.tensor([0, 0, 0, 1]), (), hierarchy=Hierarchy(piece, merges, heights, 0.5, votes))
+    return tj.Segmentation(torch.tensor([0, 0, 0, 1]), (), hierarchy=Hierarchy(superpoint, merges, heights, 0.5, votes))
 
 
 def test_of_a_segmentation_and_its_levels():
@@ -115,8 +117,8 @@ def test_judges_of_a_small_room(scene_of):
     seen = [tj.Masks.from_labels(labels) for labels in scene.truth.images]
     frames = [replace(frame, masks=masks) for frame, masks in zip(scene.frames, seen, strict=True)]
     masked = tj.JointSegmenter()(tj.Scene(scene.points, frames, colors=scene.colors))
-    assert masked.hierarchy.votes.segments.shape == (3, masked.hierarchy.num_pieces)
-    assert torch.equal(masked.hierarchy.votes.size, torch.bincount(masked.hierarchy.piece))
+    assert masked.hierarchy.votes.segments.shape == (3, masked.hierarchy.num_superpoints)
+    assert torch.equal(masked.hierarchy.votes.size, torch.bincount(masked.hierarchy.superpoint))
     assert masked.confidence.shape == (masked.num_point_segments,)
     by_paper = tj.JointSegmenter(tj.Config.from_preset("paper"))(scene)
     assert by_paper.confidence is None

@@ -33,7 +33,7 @@ def test_of_two_pages_the_later_save_keeps_the_earlier_one_s(out, tmp_path):
     one, other = opened(folder, 8990), opened(folder, 8990)
     steps = Edit("name", (0,), "sofa"), Edit("name", (1,), "lamp")
     for viewer, step in ((one, steps[0]), (other, steps[1])):
-        viewer.model.select((int(viewer.model.table[step.pieces[0]]),))
+        viewer.model.select((int(viewer.model.table[step.superpoints[0]]),))
         viewer.model.name(step.name)
         viewer._on_save()
     saved = read_edits(folder, one.model.parts.count)
@@ -137,9 +137,9 @@ def test_a_program_that_opened_a_page_ends(out):
 
 def test_a_click_at_the_edge_of_the_photo_stays_at_that_edge(out, monkeypatch):
     viewer = opened(out, 8990)
-    pieces, chosen = np.full((4, 6), -1), []
-    pieces[0, 0] = 3
-    monkeypatch.setattr(type(viewer.model.parts), "image", lambda *_: pieces)
+    superpoints, chosen = np.full((4, 6), -1), []
+    superpoints[0, 0] = 3
+    monkeypatch.setattr(type(viewer.model.parts), "image", lambda *_: superpoints)
     monkeypatch.setattr(viewer, "_on_point", lambda point, _: chosen.append(point))
     for place in ("-1 -1", "-9 0", "5 3", "99 99", f"{10**30} 0"):
         viewer._panel.bridge = SimpleNamespace(value=f"torchjoint:image {place} 0 1")

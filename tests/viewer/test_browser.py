@@ -26,7 +26,7 @@ from torchjoint.results.folder import write_result
 from torchjoint.results.render import label_colors
 from torchjoint.scene.frame import camera_center
 from torchjoint.viewer.cloud import pick_point
-from torchjoint.viewer.painting import piece_colors, point_colors
+from torchjoint.viewer.painting import point_colors, superpoint_colors
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
@@ -152,7 +152,7 @@ def panel(page):
 
 def test_a_click_in_the_cloud_lights_the_segment_everywhere(viewer, page):
     (first, here), (second, there) = visible_segments(viewer)[:2]
-    expected = piece_colors(viewer.model)
+    expected = superpoint_colors(viewer.model)
     assert is_like(color_at(page, here), expected[first])
     assert is_like(color_at(page, there), expected[second])
     image = page.get_attribute("#tj-image", "src")
@@ -447,7 +447,7 @@ def test_the_granularity_slider_and_the_frame_slider(viewer, page):
     wait(lambda: f"{len(np.unique(viewer.model.table))} segments" in page.inner_text("body"))
     page.get_by_role("tab", name="Photo").click()
     fresh = [one for one in visible_segments(viewer) if viewer.model.key(one[0]) >= viewer.result.num_point_segments]
-    colors = piece_colors(viewer.model)
+    colors = superpoint_colors(viewer.model)
     segment, place = fresh[0]
     wait(lambda: is_like(color_at(page, place), colors[segment]))
     image = page.get_attribute("#tj-image", "alt")
@@ -576,7 +576,7 @@ def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
         note = f"running: {len(segmenter.state.observations)} of 6 frames"
         wait(lambda: note in page.inner_text("#tj-note"))
         segment, place = visible_segments(live.viewer)[0]
-        expected = piece_colors(live.viewer.model)[segment]
+        expected = superpoint_colors(live.viewer.model)[segment]
         wait(lambda: is_like(color_at(page, place), expected))
         notes.append(note)
         colors.append(point_colors(live.viewer.model))
@@ -628,7 +628,7 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
     page.mouse.click(*place)
     wait(lambda: view.viewer.model.selected == (segment,))
     thing = view.viewer.model.key(segment)
-    color = piece_colors(view.viewer.model)[segment]
+    color = superpoint_colors(view.viewer.model)[segment]
     segmenter.update(frames[2:])
     second = segmenter.result(images=False)
     assert len(second.cloud.points) > len(first.cloud.points)
@@ -638,7 +638,7 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
     wait(lambda: "after all frames" in page.inner_text("#tj-note"))
     (segment,) = view.viewer.model.selected  # the same thing
     assert view.viewer.model.key(segment) == thing
-    assert np.array_equal(piece_colors(view.viewer.model)[segment], color)
+    assert np.array_equal(superpoint_colors(view.viewer.model)[segment], color)
     assert f"segment {thing}" in panel(page)
     place = dict(visible_segments(view.viewer))[segment]
     wait(lambda: is_like(color_at(page, place), color))
@@ -653,7 +653,7 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
     page.get_by_role("button", name="Join").wait_for()
     (segment,) = view.viewer.model.selected
     assert int(last.ids[view.viewer.model.key(segment)]) == thing
-    assert np.array_equal(piece_colors(view.viewer.model)[segment], color)
+    assert np.array_equal(superpoint_colors(view.viewer.model)[segment], color)
     page.locator("xpath=//*[text()='Name']/following::input[1]").fill("chair")
     edits = tmp_path / "edits.json"
     wait(lambda: edits.exists() and "chair" in edits.read_text())

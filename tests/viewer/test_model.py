@@ -46,7 +46,7 @@ def test_ids_are_those_on_disk_and_stay_when_others_change(model, result):
     fine = keys_of_points(model)
     assert len(np.unique(fine)) == len(np.unique(model.table)) > result.num_point_segments
     model.set_granularity(0.2)
-    assert set(keys_of_points(model)) <= set(range(result.num_point_segments))  # the ids of their first pieces
+    assert set(keys_of_points(model)) <= set(range(result.num_point_segments))  # the ids of their first superpoints
     model.set_granularity(None)
     _, second = largest(model)
     before = keys_of_points(model)
@@ -109,14 +109,14 @@ def test_a_split_goes_down_the_tree():
     assert twice.tolist() == [0, 0, 2, 3, 4]
     apart = (Edit("join", (3, 4)), Edit("split", (4,)), Edit("split", (4,)))  # 3-4 merge last, so they part first
     assert Edits(5, None, apart[:2]).apply(table, hierarchy).tolist() == [0, 0, 0, 0, 4]
-    with pytest.raises(ValueError, match="split: expected a segment of several pieces, got 4"):
+    with pytest.raises(ValueError, match="split: expected a segment of several superpoints, got 4"):
         Edits(5, None, apart).apply(table, hierarchy)
     with pytest.raises(ValueError, match="split: expected a hierarchy, got none"):
         Edits(5, None, apart[1:]).apply(table, None)
 
 
 def test_a_split_leaves_crumbs_where_they_are():
-    # Pieces of 50, 40 and 1 points; the crumb is merged last, with the piece of 50.
+    # Superpoints of 50, 40 and 1 points; the crumb is merged last, with the superpoint of 50.
     merges, heights = torch.tensor([[0, 1], [0, 2]]), torch.tensor([0.3, 0.7], dtype=torch.float64)
     hierarchy = Hierarchy(torch.arange(3), merges, heights)
     table, sizes = np.zeros(3, dtype=np.int64), np.array([50, 40, 1])
@@ -126,7 +126,7 @@ def test_a_split_leaves_crumbs_where_they_are():
     assert Edits(3, None, (step,)).apply(np.arange(3), hierarchy).tolist() == [0, 1, 2]  # a finer level has it already
     assert place_to_split(table, 0, np.array([50, 4, 1]), hierarchy) == (0, 0, 1)  # of 55, 4 are enough
     assert place_to_split(table, 0, np.array([500, 4, 1]), hierarchy) == (0, 0, 2)  # crumbs only: the last merge
-    with pytest.raises(ValueError, match="split: expected a merge of the hierarchy, got pieces 1 and 2"):
+    with pytest.raises(ValueError, match="split: expected a merge of the hierarchy, got superpoints 1 and 2"):
         Edits(3, None, (Edit("split", (0, 1, 2)),)).apply(table, hierarchy)
 
 
@@ -164,7 +164,7 @@ def test_the_selection_as_coco(model):
 
 
 def tree():
-    """A result of five pieces that merge one after the other, the last two only near the root."""
+    """A result of five superpoints that merge one after the other, the last two only near the root."""
     merges = torch.tensor([[0, 1], [2, 3], [1, 2], [3, 4]])
     hierarchy = Hierarchy(torch.arange(5), merges, torch.tensor([0.1, 0.2, 0.3, 0.9], dtype=torch.float64))
     return tj.Result.of(
@@ -219,7 +219,7 @@ def test_a_join_takes_the_name_along_and_a_level_is_kept(tmp_path):
 
 @pytest.fixture
 def picked():
-    """A model of six pieces, one point each: ((0 1) .2, (2 3) .4) .6, (4 5) .3, and all at .9."""
+    """A model of six superpoints, one point each: ((0 1) .2, (2 3) .4) .6, (4 5) .3, and all at .9."""
     merges = torch.tensor([[0, 1], [2, 3], [1, 2], [4, 5], [0, 5]])
     heights = torch.tensor([0.2, 0.4, 0.6, 0.3, 0.9], dtype=torch.float64)
     hierarchy = Hierarchy(torch.arange(6), merges, heights)
@@ -356,7 +356,7 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
     ("text", "message"),
     [
         ("[", "not a list of edits"),
-        ('{"pieces": 5, "granularity": null, "edits": []}', r"expected edits of \d+ pieces, got 5"),
+        ('{"pieces": 5, "granularity": null, "edits": []}', r"expected edits of \d+ superpoints, got 5"),
         (
             '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "burn", "pieces": [1]}]}',
             "expected an edit, got",
@@ -367,7 +367,7 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
         ),
         (
             '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "split", "pieces": [-1]}]}',
-            "expected pieces below",
+            "expected superpoints below",
         ),
         (
             '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "split", "pieces": [0, 1]}]}',
@@ -378,12 +378,15 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
             "expected an edit, got",
         ),
         *(
-            (f'{{"pieces": PIECES, "granularity": null, "edits": [{{"kind": "name", "pieces": [{piece}]}}]}}', message)
-            for piece, message in (
-                ("true", "pieces: expected an integer, got True"),
-                ("1.9", "pieces: expected an integer, got 1.9"),
-                ('"12"', "pieces: expected an integer, got '12'"),
-                ("Infinity", "pieces: expected an integer, got inf"),
+            (
+                f'{{"pieces": PIECES, "granularity": null, "edits": [{{"kind": "name", "pieces": [{superpoint}]}}]}}',
+                message,
+            )
+            for superpoint, message in (
+                ("true", "superpoints: expected an integer, got True"),
+                ("1.9", "superpoints: expected an integer, got 1.9"),
+                ('"12"', "superpoints: expected an integer, got '12'"),
+                ("Infinity", "superpoints: expected an integer, got inf"),
             )
         ),
         (
@@ -394,9 +397,9 @@ def test_corrections_lie_on_top_of_the_labels(out, result, model, tmp_path):
             '{"pieces": PIECES, "granularity": null, "edits": [{"kind": "name", "pieces": [0], "name": "\\ud800"}]}',
             "name: expected a text",
         ),
-        ('{"pieces": Infinity, "granularity": null, "edits": []}', "pieces: expected an integer, got inf"),
-        ('{"pieces": "PIECES", "granularity": null, "edits": []}', "pieces: expected an integer, got '"),
-        ('{"pieces": true, "granularity": null, "edits": []}', "pieces: expected an integer, got True"),
+        ('{"pieces": Infinity, "granularity": null, "edits": []}', "superpoints: expected an integer, got inf"),
+        ('{"pieces": "PIECES", "granularity": null, "edits": []}', "superpoints: expected an integer, got '"),
+        ('{"pieces": true, "granularity": null, "edits": []}', "superpoints: expected an integer, got True"),
         ('{"pieces": PIECES, "granularity": Infinity, "edits": []}', "granularity: expected a number from 0"),
         ('{"pieces": PIECES, "granularity": NaN, "edits": []}', "granularity: expected a number from 0"),
         ('{"pieces": PIECES, "granularity": true, "edits": []}', "granularity: expected a number from 0"),

@@ -24,8 +24,8 @@ def edits(
 ) -> None:
     """Brings boxes or labels that were edited in another program back into a result, as corrections by hand.
 
-    A thing whose box was deleted joins the one in whose box it lies; pieces whose points have another label now go to
-    the thing of that label; names come along. The labels of RESULT stay; RESULT/edits.json has the corrections, as
+    A thing whose box was deleted joins the one in whose box it lies; superpoints whose points have another label now go
+    to the thing of that label; names come along. The labels of RESULT stay; RESULT/edits.json has the corrections, as
     those of the viewer, and `show`, `export` and `load_result` use them. What nobody edited changes nothing.
 
     Args:
@@ -44,7 +44,7 @@ def edits(
         kinds = [step.kind for step in steps]
         say(f"labels of points: {kinds.count('gather')} things gathered, {kinds.count('name')} names changed")
         if others:
-            say(f"{others} points stay with their piece, of which most points have another label")
+            say(f"{others} points stay with their superpoint, of which most points have another label")
     else:
         boxes = read_boxes(file)
         steps, joined, named, empty = edits_of_boxes(edited(stored, before), boxes, parts.of_point)

@@ -86,23 +86,23 @@ UNSEEN = 30.0
 SPARSE = 0.1
 
 
-class PieceNumbers(NamedTuple):
-    """The pieces of a hierarchy, numbered in the order of their segments.
+class SuperpointNumbers(NamedTuple):
+    """The superpoints of a hierarchy, numbered in the order of their segments.
 
-    So of equally cheap paths the one from the lowest piece is one from the lowest segment.
+    So of equally cheap paths the one from the lowest superpoint is one from the lowest segment.
     """
 
-    of_point: Tensor  #: [N] int64, number of each point's piece
+    of_point: Tensor  #: [N] int64, number of each point's superpoint
     segment: Tensor  #: [P] int32, segment of each number, ascending
-    piece: Tensor  #: [P] int64, piece of each number
+    superpoint: Tensor  #: [P] int64, superpoint of each number
 
     @classmethod
-    def of(cls, piece: Tensor, segment: Tensor) -> PieceNumbers:
-        """The numbers of P pieces; `piece`: [N] int64, that of each point; `segment`: [P] int64, that of each piece."""
+    def of(cls, superpoint: Tensor, segment: Tensor) -> SuperpointNumbers:
+        """The numbers of P superpoints; `superpoint` [N] int64 is that of each point, `segment` [P] int64 their own."""
         by_segment = torch.argsort(segment, stable=True)
         number = torch.empty_like(by_segment)
         number[by_segment] = torch.arange(len(by_segment))
-        return cls(number[piece], segment[by_segment].to(torch.int32), by_segment)
+        return cls(number[superpoint], segment[by_segment].to(torch.int32), by_segment)
 
 
 def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config: Config) -> tuple[Tensor, int]:
@@ -127,31 +127,33 @@ def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config
     return _keep_unseen(labels, markers >= 0, seen.labels, num_segments)
 
 
-def propagate_pieces(
-    seen: Observation, num_segments: int, pieces: PieceNumbers, config: Config
+def propagate_superpoints(
+    seen: Observation, num_segments: int, superpoints: SuperpointNumbers, config: Config
 ) -> tuple[Tensor, int, Tensor]:
-    """As :func:`propagate`, of the pieces of a hierarchy: the same labels, and the piece in each pixel.
+    """As :func:`propagate`, of the superpoints of a hierarchy: the same labels, and the superpoint in each pixel.
 
     Returns:
-        ([H, W] int32 labels, the next free id, [H, W] int64 pieces). A pixel's piece is a piece of its segment; -1 in
-        pixels without a 3D segment.
+        ([H, W] int32 labels, the next free id, [H, W] int64 superpoints). A pixel's superpoint is a superpoint of its
+        segment; -1 in pixels without a 3D segment.
     """
     costs = path_costs(seen, config)
-    markers = piece_markers(seen, pieces, costs)
-    found = ops.propagate_labels(markers, *costs, MIN_POINTS, pieces.segment)
-    labels, next_free = _keep_unseen(look_up(pieces.segment, found, -1), markers >= 0, seen.labels, num_segments)
+    markers = superpoint_markers(seen, superpoints, costs)
+    found = ops.propagate_labels(markers, *costs, MIN_POINTS, superpoints.segment)
+    labels, next_free = _keep_unseen(look_up(superpoints.segment, found, -1), markers >= 0, seen.labels, num_segments)
     has_segment = (labels >= 0) & (labels < num_segments)
-    return labels, next_free, torch.where(has_segment, look_up(pieces.piece, found, -1), -1)
+    return labels, next_free, torch.where(has_segment, look_up(superpoints.superpoint, found, -1), -1)
 
 
-def piece_markers(seen: Observation, pieces: PieceNumbers, costs: tuple[Tensor, Tensor, float, float]) -> Tensor:
-    """The number [H, W] int32 of the piece in each pixel with points; -1 where the segments around it outvote its own.
+def superpoint_markers(
+    seen: Observation, superpoints: SuperpointNumbers, costs: tuple[Tensor, Tensor, float, float]
+) -> Tensor:
+    """The superpoint [H, W] int32 in each pixel with points; -1 where the segments around it outvote its own.
 
     `costs`: of :func:`path_costs`.
     """
     colors, _, color_weight, _ = costs
-    markers = nearest_labels(seen.visible, pieces.of_point[seen.visible.point], seen.size)
-    segments = without_outvoted(look_up(pieces.segment, markers, -1), colors, color_weight)
+    markers = nearest_labels(seen.visible, superpoints.of_point[seen.visible.point], seen.size)
+    segments = without_outvoted(look_up(superpoints.segment, markers, -1), colors, color_weight)
     return markers.masked_fill_(segments < 0, -1)
 
 

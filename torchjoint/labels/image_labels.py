@@ -8,7 +8,7 @@ from tqdm import tqdm
 
 from torchjoint.config import Config
 from torchjoint.labels.cuts import cut
-from torchjoint.labels.geodesic import PieceNumbers, propagate, propagate_pieces
+from torchjoint.labels.geodesic import SuperpointNumbers, propagate, propagate_superpoints
 from torchjoint.labels.joint_ids import private_id_offsets
 from torchjoint.labels.mask_labels import label_masks
 from torchjoint.runtime.messages import Stopwatch
@@ -38,11 +38,11 @@ def label_images(
         progress: show a progress bar.
 
     Returns:
-        the labels; and, with a hierarchy, the piece in each pixel, packed, by index, of the frames without masks.
+        the labels; and, with a hierarchy, the superpoint in each pixel, packed, by index, of the frames without masks.
     """
     numbers = None
     if hierarchy is not None:
-        numbers = PieceNumbers.of(hierarchy.piece, hierarchy.segments_of_pieces(hierarchy.default))
+        numbers = SuperpointNumbers.of(hierarchy.superpoint, hierarchy.segments_of_superpoints(hierarchy.default))
     known: dict[int, Packed] = {}
     sizes = torch.bincount(point_labels)
     bar = tqdm(total=len(seen), desc="images", unit="frame", disable=not (progress and len(seen)))
@@ -53,8 +53,8 @@ def label_images(
             if numbers is None or observation.masks is not None:
                 refined, next_free = label_image(observation, point_labels, sizes, config)
             else:
-                refined, next_free, pieces = propagate_pieces(observation, len(sizes), numbers, config)
-                known[index] = pack(pieces)
+                refined, next_free, superpoints = propagate_superpoints(observation, len(sizes), numbers, config)
+                known[index] = pack(superpoints)
         bar.update()
         return pack(refined), next_free
 

@@ -1,8 +1,8 @@
-"""Steps 7 and 8: labels of the given points and of the pixels, in one id space; and the piece in each pixel.
+"""Steps 7 and 8: labels of the given points and of the pixels, in one id space; and the superpoint in each pixel.
 
 Until here everything is in the numbers of the graph. So it does not depend on the order of the given points, also not
 where the lowest of equally good labels of a pixel counts. Here, once, the numbers become those of the given points.
-The piece in each pixel gives the labels of every level.
+The superpoint in each pixel gives the labels of every level.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 from torchjoint import ops
 from torchjoint.cloud.graph import PointGraph
 from torchjoint.config import Config
-from torchjoint.labels.geodesic import PieceNumbers, path_costs, piece_markers
+from torchjoint.labels.geodesic import SuperpointNumbers, path_costs, superpoint_markers
 from torchjoint.labels.image_labels import label_images
 from torchjoint.labels.joint_ids import look_up
 from torchjoint.runtime.groups import first_places, numbers_by_first_place, with_none
@@ -68,15 +68,15 @@ def label(
     """
     points = label_points(tree, graph)
     levels = None if isinstance(tree, Tensor) else tree
-    hierarchy, piece_number = (None, None) if levels is None else levels.transferred(graph.of_given)
+    hierarchy, superpoint_number = (None, None) if levels is None else levels.transferred(graph.of_given)
     if not images:
         return Segmentation(points.given, (), seconds=dict(stopwatch.seconds), hierarchy=hierarchy)
     seen, count = evidence.observations[:], len(points.number)  # results keep them; more frames may follow
     labels, known = label_images(seen, points.of_graph, config, stopwatch, levels, progress=progress)
-    pieces: Sequence[Tensor] = ()
-    if levels is not None and piece_number is not None:
-        pieces = piece_images(labels, seen, levels, config, known)
-        pieces = level_images(pieces, len(piece_number), piece_number, len(piece_number))
+    superpoints: Sequence[Tensor] = ()
+    if levels is not None and superpoint_number is not None:
+        superpoints = superpoint_images(labels, seen, levels, config, known)
+        superpoints = level_images(superpoints, len(superpoint_number), superpoint_number, len(superpoint_number))
     return Segmentation(
         points=points.given,
         images=level_images(labels, count, points.number, count),
@@ -84,70 +84,71 @@ def label(
         names=tuple(seen.names),
         seconds=dict(stopwatch.seconds),
         hierarchy=hierarchy,
-        piece_images=pieces,
+        superpoint_images=superpoints,
     )
 
 
-def piece_images(
+def superpoint_images(
     images: Sequence[Tensor],
     observations: Observations,
     hierarchy: Hierarchy,
     config: Config,
     known: Mapping[int, Packed],
 ) -> LazySequence[Tensor]:
-    """The pieces of a hierarchy in images: [H, W] int64 per frame, computed when first used, then kept packed.
+    """The superpoints of a hierarchy in images: [H, W] int64 per frame, computed when first used, then kept packed.
 
     Args:
         images: final labels [H, W] int64 per frame, of the default level.
         observations: the frames; no more may be added.
         hierarchy: all levels of the graph's points.
         config: the refinement, and the smoothing of the image graph.
-        known: pieces of images that are known already, by index.
+        known: superpoints of images that are known already, by index.
     """
     kept = dict(known)
-    numbers = PieceNumbers.of(hierarchy.piece, hierarchy.segments_of_pieces(hierarchy.default))
+    numbers = SuperpointNumbers.of(hierarchy.superpoint, hierarchy.segments_of_superpoints(hierarchy.default))
 
-    def pieces(index: int) -> Tensor:
+    def superpoints(index: int) -> Tensor:
         if index not in kept:
             with torch.no_grad(), one_thread_per_operation():
-                kept[index] = pack(piece_image(observations[index], images[index], numbers, config))
+                kept[index] = pack(superpoint_image(observations[index], images[index], numbers, config))
         return kept[index].unpack()
 
-    return LazySequence(len(images), pieces)
+    return LazySequence(len(images), superpoints)
 
 
-def piece_image(seen: Observation, labels: Tensor, numbers: PieceNumbers, config: Config) -> Tensor:
-    """The piece in each pixel of a frame with masks. It is always a piece of the pixel's segment.
+def superpoint_image(seen: Observation, labels: Tensor, numbers: SuperpointNumbers, config: Config) -> Tensor:
+    """The superpoint in each pixel of a frame with masks. It is always a superpoint of the pixel's segment.
 
-    Frames without masks get their pieces with their labels (:func:`~torchjoint.labels.geodesic.propagate_pieces`).
+    Frames without masks get their superpoints with their labels
+    (:func:`~torchjoint.labels.geodesic.propagate_superpoints`).
 
-    It is the piece of the point with the cheapest path to the pixel, as in geodesic label propagation. So pieces also
-    meet at edges of the image. If this point is not in the segment of the pixel's final label, the nearest visible
-    point of that segment counts.
+    It is the superpoint of the point with the cheapest path to the pixel, as in geodesic label propagation. So
+    superpoints also meet at edges of the image. If this point is not in the segment of the pixel's final label, the
+    nearest visible point of that segment counts.
 
     Args:
         seen: the frame.
         labels: [H, W] int64, final labels; -1 = none, labels from S on have no points.
-        numbers: the pieces, and the 3D segment 0 ... S - 1 of each.
+        numbers: the superpoints, and the 3D segment 0 ... S - 1 of each.
         config: the refinement, and the smoothing of the image graph.
 
     Returns:
         [H, W] int64, -1 for pixels without a 3D segment.
     """
     costs = path_costs(seen, config)
-    found = ops.propagate_labels(piece_markers(seen, numbers, costs), *costs)
+    found = ops.propagate_labels(superpoint_markers(seen, numbers, costs), *costs)
     has_segment = (labels >= 0) & (labels <= numbers.segment[-1])
     row, column = torch.nonzero(has_segment & (look_up(numbers.segment, found, -1) != labels), as_tuple=True)
     found[row, column] = _nearest_of_segment(seen, numbers, row, column, labels[row, column])
-    return torch.where(has_segment, look_up(numbers.piece, found, -1), -1)
+    return torch.where(has_segment, look_up(numbers.superpoint, found, -1), -1)
 
 
 def _nearest_of_segment(
-    seen: Observation, numbers: PieceNumbers, row: Tensor, column: Tensor, segment: Tensor
+    seen: Observation, numbers: SuperpointNumbers, row: Tensor, column: Tensor, segment: Tensor
 ) -> Tensor:
-    """The number of the piece of the nearest visible point of a given segment, [K] int32, for K pixels.
+    """The number of the superpoint of the nearest visible point of a given segment, [K] int32, for K pixels.
 
-    A segment without a visible point gets its first piece.
+    A segment without a visible point gets its first superpoint.
     """
     first = first_places(numbers.segment.long()).to(torch.int32)[segment]
     there = numbers.of_point[seen.visible.point]

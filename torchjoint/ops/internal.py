@@ -251,31 +251,6 @@ def mask_merges(
     return cast("tuple[Tensor, Tensor]", result)
 
 
-def average_linkage(
-    edge_index: Tensor, size: Tensor, in_segment: Tensor, segmentation: Tensor, threshold: float
-) -> tuple[Tensor, Tensor]:
-    """Repeatedly merge the two adjacent regions that the fewest of some segmentations have apart; list the merges.
-
-    The share of segmentations that have two regions apart is the mean over all pairs of points, one of each region.
-
-    Args:
-        edge_index, size: as those of :func:`mask_merges`.
-        in_segment: ``[3, I]`` int64: region, segment, number of the region's points in it.
-        segmentation: ``[S]`` int64, 0 ... K - 1, the segmentation of each segment. Each has all points.
-        threshold: largest share of two regions that merge.
-
-    Returns:
-        as :func:`mask_merges`, with the shares as costs.
-    """
-    # A segmentation is a frame that sees all points, and its segments are masks. The least prior changes nothing.
-    frames = torch.arange(int(segmentation.max()) + 1)
-    region = torch.arange(len(size))
-    in_frame = torch.stack([region.repeat(len(frames)), frames.repeat_interleave(len(size)), size.repeat(len(frames))])
-    prior, one = torch.zeros(edge_index.shape[1], dtype=torch.float32), torch.ones_like(edge_index[0])
-    masks = (in_segment, in_frame, torch.full_like(segmentation, WEIGHT_UNIT), segmentation)
-    return mask_merges(edge_index, prior, one, size, *masks, apart_weight=1.0, prior_weight=1e-9, threshold=threshold)
-
-
 # Step 6, method scan
 
 

@@ -31,12 +31,12 @@ from torchjoint.results.inputs import CAMERAS, read_inputs, read_names, write_in
 from torchjoint.results.manifest import FILE as MANIFEST
 from torchjoint.results.manifest import (
     HIERARCHY,
-    PIECES,
     PNG,
+    SUPERPOINTS,
     Check,
     open_manifest,
     read_hierarchy,
-    read_piece_image,
+    read_superpoint_image,
     unchecked,
     write_hierarchy,
     write_manifest,
@@ -133,7 +133,7 @@ def write_result(
     np.savez_compressed(folder / "points.npz", **stored)  # type: ignore[arg-type]
     last_label = _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
-        write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.piece_images)
+        write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.superpoint_images)
     write_inputs(folder, scene, result)
     if len(scene.frames):
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
@@ -153,7 +153,7 @@ def _remove_earlier(folder: Path) -> None:
     files = "points.ply", "points.npz", HIERARCHY, CAMERAS, "overview.png", "run.yaml", MANIFEST, "embeddings.npz"
     for name in files:
         (folder / name).unlink(missing_ok=True)
-    for name in ("images", PIECES):
+    for name in ("images", SUPERPOINTS):
         shutil.rmtree(folder / name, ignore_errors=True)
 
 
@@ -184,16 +184,18 @@ def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
     if not has_file(folder / HIERARCHY):
         return Segmentation(labels, images, names=names)
     hierarchy = read_hierarchy(folder, len(labels))
-    of_piece = torch.zeros(hierarchy.num_pieces, dtype=torch.int64)
-    of_piece[hierarchy.piece] = labels
-    if not torch.equal(of_piece[hierarchy.piece], labels):
-        raise ValueError(f"{folder / HIERARCHY}: expected pieces that lie inside one segment of points.npz, got others")
+    of_superpoint = torch.zeros(hierarchy.num_superpoints, dtype=torch.int64)
+    of_superpoint[hierarchy.superpoint] = labels
+    if not torch.equal(of_superpoint[hierarchy.superpoint], labels):
+        raise ValueError(
+            f"{folder / HIERARCHY}: expected superpoints that lie inside one segment of points.npz, got others"
+        )
 
-    def pieces(index: int) -> Tensor:
-        return read_piece_image(check(folder / PIECES / files[index].name), hierarchy.num_pieces)
+    def superpoints(index: int) -> Tensor:
+        return read_superpoint_image(check(folder / SUPERPOINTS / files[index].name), hierarchy.num_superpoints)
 
-    piece_images = LazySequence(len(files), pieces)
-    return Segmentation(labels, images, names=names, hierarchy=hierarchy, piece_images=piece_images)
+    superpoint_images = LazySequence(len(files), superpoints)
+    return Segmentation(labels, images, names=names, hierarchy=hierarchy, superpoint_images=superpoint_images)
 
 
 def read_run(folder: Path, parse: Callable[[Any], T]) -> T:
@@ -307,7 +309,7 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
 
     Args:
         folder: the result.
-        edits: apply the corrections of edits.json, if there are any; ids are then renumbered. Levels from
+        edits: apply the corrections of edits.json, if there are any; all other segments keep their ids. Levels from
             :meth:`~torchjoint.Segmentation.at` do not contain the corrections.
         verify: False: also read a result whose files were changed, lost or exchanged after the run.
 

@@ -106,27 +106,32 @@ def _checksum(record: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-HIERARCHY, PIECES = "hierarchy.npz", "pieces"
+HIERARCHY, SUPERPOINTS = "hierarchy.npz", "pieces"
 #: How images of labels are packed: by runs (zlib's Z_RLE), which is faster than other ways, and makes them smaller.
 PNG: dict[str, Any] = {"compress_level": 1, "compress_type": 3}
-#: Largest number of a piece in an image of pieces, which stores piece + 1 in three bytes; 0 = none.
-MAX_PIECE = 2**24 - 2
-#: Names of the arrays of the votes. Results without members have none.
+#: Largest number of a superpoint in an image of superpoints, which stores superpoint + 1 in three bytes; 0 = none.
+MAX_SUPERPOINT = 2**24 - 2
+#: Names of the arrays of the votes. Results without ensemble have none.
 _VOTES = ("votes", "piece_size")
 
 
-def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], piece_images: Sequence[Tensor]) -> None:
+def write_hierarchy(
+    folder: Path, hierarchy: Hierarchy, names: Sequence[str], superpoint_images: Sequence[Tensor]
+) -> None:
     """Writes hierarchy.npz and pieces/NAME.png; equal arguments give equal bytes.
 
     Args:
         folder: the result.
         hierarchy: of the points.
         names: of the images, without suffix.
-        piece_images: [H, W] int64 per image, -1 = none.
+        superpoint_images: [H, W] int64 per image, -1 = none.
     """
-    if hierarchy.num_pieces - 1 > MAX_PIECE:
-        raise ValueError(f"hierarchy: {hierarchy.num_pieces} pieces do not fit 24-bit images (at most {MAX_PIECE + 1})")
-    arrays = {"piece": hierarchy.piece, "merges": hierarchy.merges}
+    if hierarchy.num_superpoints - 1 > MAX_SUPERPOINT:
+        raise ValueError(
+            f"hierarchy: {hierarchy.num_superpoints} superpoints do not fit 24-bit images "
+            f"(at most {MAX_SUPERPOINT + 1})"
+        )
+    arrays = {"piece": hierarchy.superpoint, "merges": hierarchy.merges}
     if hierarchy.votes is not None:
         arrays |= dict(zip(_VOTES, hierarchy.votes, strict=True))
     np.savez_compressed(
@@ -135,15 +140,15 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
         default=np.float64(hierarchy.default),
         **{name: array.numpy().astype(np.int32) for name, array in arrays.items()},  # type: ignore[arg-type]
     )
-    shutil.rmtree(folder / PIECES, ignore_errors=True)
-    if not len(piece_images):
+    shutil.rmtree(folder / SUPERPOINTS, ignore_errors=True)
+    if not len(superpoint_images):
         return
-    (folder / PIECES).mkdir()
+    (folder / SUPERPOINTS).mkdir()
 
     def write(index: int) -> None:
-        stored = (piece_images[index] + 1).numpy().astype(">u4", order="C")
+        stored = (superpoint_images[index] + 1).numpy().astype(">u4", order="C")
         channels = stored.view(np.uint8).reshape(*stored.shape, 4)[..., 1:]
-        Image.fromarray(channels).save(folder / PIECES / f"{names[index]}.png", **PNG)
+        Image.fromarray(channels).save(folder / SUPERPOINTS / f"{names[index]}.png", **PNG)
 
     parallel_map(write, range(len(names)))
 
@@ -154,19 +159,21 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
     present(file, "a result with all levels; point_segments.method paper makes one")
     with damage_is(f"{file}: not a whole hierarchy", OSError):
         arrays = read_archive(file)
-        piece, merges = (torch.from_numpy(arrays[name].astype(np.int64)) for name in ("piece", "merges"))
+        superpoint, merges = (torch.from_numpy(arrays[name].astype(np.int64)) for name in ("piece", "merges"))
         found = [torch.from_numpy(arrays[name].astype(np.int64)) for name in _VOTES if name in arrays]
         votes = Votes(*found) if found else None
-        hierarchy = Hierarchy(piece, merges, torch.from_numpy(arrays["heights"]), float(arrays["default"]), votes)
-    if len(hierarchy.piece) != num_points:
-        raise ValueError(f"{file}: expected a hierarchy of {num_points} points, got {len(hierarchy.piece)}")
+        hierarchy = Hierarchy(superpoint, merges, torch.from_numpy(arrays["heights"]), float(arrays["default"]), votes)
+    if len(hierarchy.superpoint) != num_points:
+        raise ValueError(f"{file}: expected a hierarchy of {num_points} points, got {len(hierarchy.superpoint)}")
     return hierarchy
 
 
-def read_piece_image(path: Path, num_pieces: int) -> Tensor:
-    """Reads an image of pieces; returns [H, W] int64, -1 = none."""
+def read_superpoint_image(path: Path, num_superpoints: int) -> Tensor:
+    """Reads an image of superpoints; returns [H, W] int64, -1 = none."""
     red, green, blue = read_image(path).to(torch.int64)
-    pieces = (red << 16) + (green << 8) + blue - 1
-    if int(pieces.max()) >= num_pieces:
-        raise ValueError(f"{path}: expected pieces below {num_pieces}, got {int(pieces.max())}; of another result?")
-    return pieces
+    superpoints = (red << 16) + (green << 8) + blue - 1
+    if int(superpoints.max()) >= num_superpoints:
+        raise ValueError(
+            f"{path}: expected superpoints below {num_superpoints}, got {int(superpoints.max())}; of another result?"
+        )
+    return superpoints

@@ -126,7 +126,7 @@ def select_masked(folder: Path, result: Result) -> Result:
         raise ValueError(f"{folder / FILE}: no segment lies in masks with half of its pixels")
     count = result.num_point_segments
     images = level_images(result.images, count, table, count)
-    return replace(result, points=table[result.points], images=images, hierarchy=None, piece_images=())
+    return replace(result, points=table[result.points], images=images, hierarchy=None, superpoint_images=())
 
 
 def _read(folder: Path) -> dict[str, Any]:

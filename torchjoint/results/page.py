@@ -55,7 +55,7 @@ def write_page(path: Path, result: Result, up: Tensor | None = None, edits: Edit
     keep = torch.arange(0, len(scene.points), max(1, -(-len(scene.points) // MOST_POINTS)))
     levels, first = _levels(parts, edits or Edits(parts.count))
     points = f"{len(keep)} of {len(scene.points)} points" if len(keep) < len(scene.points) else f"{len(keep)} points"
-    colors = label_colors(torch.arange(int(parts.keys.max()) + 1))
+    colors = label_colors(torch.arange(int(parts.stored.max()) + parts.count + 1))
     own = _own_colors(scene, keep)
     data = {
         "pieces": _packed(parts.of_point[keep.numpy()].astype(np.uint32)),
@@ -85,7 +85,7 @@ def write_page(path: Path, result: Result, up: Tensor | None = None, edits: Edit
 
 
 def _levels(parts: Parts, edits: Edits) -> tuple[list[dict[str, Any]], int]:
-    """The different levels from coarse to fine (ids of the pieces, number and names of segments), and the shown one."""
+    """The levels from coarse to fine (ids of superpoints, number and names of segments), and the shown one."""
     shown = parts.table(edits)
     found = {shown.tobytes(): (shown, edits)}
     for granularity in LEVELS if parts.result.hierarchy is not None else ():
@@ -95,8 +95,9 @@ def _levels(parts: Parts, edits: Edits) -> tuple[list[dict[str, Any]], int]:
     ordered = sorted(found.values(), key=lambda one: len(np.unique(one[0])))
     levels = []
     for table, of_level in ordered:
-        names = {int(parts.keys[segment]): name for segment, name in parts.names(of_level).items()}
-        ids = _packed(parts.keys[table].astype(np.uint32))
+        own = parts.ids(table)
+        names = {int(own[segment]): name for segment, name in parts.names(of_level).items()}
+        ids = _packed(own.astype(np.uint32))
         levels.append({"ids": ids, "count": len(np.unique(table)), "names": names})
     return levels, next(i for i, one in enumerate(ordered) if one[0] is shown)
 
@@ -149,15 +150,15 @@ def _base64(content: bytes) -> str:
 
 
 def _picture(parts: Parts, index: int) -> str:
-    """A small photo, and its pieces as an image: the number of a piece + 1 in red, green and blue, lowest first."""
-    result, pieces = parts.result, parts.image(index)
-    photo = Image.new("RGB", pieces.shape[::-1], (128, 128, 128))
+    """A small photo, and its superpoints as an image: their number + 1 in red, green and blue, lowest first."""
+    result, superpoints = parts.result, parts.image(index)
+    photo = Image.new("RGB", superpoints.shape[::-1], (128, 128, 128))
     if len(result.scene.frames):
         image = result.scene.frames[index].image
         photo = Image.fromarray(_bytes(image.permute(1, 2, 0).numpy()))
     photo.thumbnail((4 * HEIGHT, HEIGHT))
-    (height, width), (columns, rows) = pieces.shape, map(np.arange, photo.size)
-    small = pieces[rows[:, None] * height // len(rows), columns * width // len(columns)] + 1
+    (height, width), (columns, rows) = superpoints.shape, map(np.arange, photo.size)
+    small = superpoints[rows[:, None] * height // len(rows), columns * width // len(columns)] + 1
     code = Image.fromarray(np.stack([small >> shift & 255 for shift in (0, 8, 16)], axis=2).astype(np.uint8))
     name = escape(printable(result.names[index]))
     sources = "".join(f'<img src="data:image/{kind};base64,{data}">' for kind, data in (

@@ -1,4 +1,4 @@
-"""The pieces of a result, and the segments that they form: what can be joined and split (output after step 8)."""
+"""The superpoints of a result, and the segments that they form: what can be joined and split (output after step 8)."""
 
 from __future__ import annotations
 
@@ -9,55 +9,55 @@ from itertools import groupby
 import numpy as np
 import torch
 
-from torchjoint.results.edits import Edits, Table, first_pieces
+from torchjoint.results.edits import Edits, Table, first_superpoints
 from torchjoint.results.result import Result
 from torchjoint.scene.segmentation import level_images
 
 
 @dataclass(frozen=True)
 class Parts:
-    """The pieces of a result: those of its hierarchy, or else its segments.
+    """The superpoints of a result: those of its hierarchy, or else its segments.
 
-    Each segment has a key. If its first piece is the first piece of a segment on disk, the key is the label of that
-    segment. Otherwise the key is the number of its first piece + the number of segments on disk. So neither an edit nor
-    another level changes the keys of other segments.
+    If the first superpoint of a segment is the first one of a segment on disk, its id is the label of that segment. So
+    neither an edit nor another level changes the ids of other segments, and the ids of files that were written before
+    stay valid.
     """
 
     result: Result
 
     @cached_property
     def of_point(self) -> Table:
-        """[N] the piece of each point."""
+        """[N] the superpoint of each point."""
         hierarchy = self.result.hierarchy
-        return (self.result.points if hierarchy is None else hierarchy.piece).numpy()
+        return (self.result.points if hierarchy is None else hierarchy.superpoint).numpy()
 
     @cached_property
     def count(self) -> int:
-        """P, the number of pieces."""
+        """P, the number of superpoints."""
         return int(self.of_point.max()) + 1
 
-    def middle(self, piece: int) -> int:
-        """The point of a piece that is nearest to its centre."""
-        own = np.flatnonzero(self.of_point == piece)
+    def middle(self, superpoint: int) -> int:
+        """The point of a superpoint that is nearest to its centre."""
+        own = np.flatnonzero(self.of_point == superpoint)
         points = self.result.scene.points.numpy()[own]
         return int(own[np.square(points - points.mean(0)).sum(1).argmin()])
 
     @cached_property
     def stored(self) -> Table:
-        """[P] the label on disk of each piece."""
+        """[P] the label on disk of each superpoint."""
         stored = np.zeros(self.count, dtype=np.int64)
         stored[self.of_point] = self.result.points.numpy()
         return stored
 
     def image(self, index: int) -> Table:
-        """[H, W] the piece of each pixel; -1 = none."""
+        """[H, W] the superpoint of each pixel; -1 = none."""
         if self.result.hierarchy is not None:
-            return self.result.piece_images[index].numpy()
+            return self.result.superpoint_images[index].numpy()
         labels = self.result.images[index].numpy()
         return np.where(labels < self.count, labels, -1)
 
     def table(self, edits: Edits) -> Table:
-        """[P] the segment of each piece after the edits; the number of a segment is that of its first piece."""
+        """[P] the segment of each superpoint after the edits; its number is that of its first superpoint."""
         return edits.apply(self.level(edits.granularity), self.result.hierarchy)
 
     def names(self, edits: Edits) -> dict[int, str]:
@@ -73,37 +73,43 @@ class Parts:
         named = []
         for level, own in groupby(steps, lambda one: one[1].granularity):
             table = self.table(replace(shaped, granularity=level))
-            named += [(number, np.flatnonzero(table == table[one.pieces[0]]), one.name) for number, one in own]
+            named += [(number, np.flatnonzero(table == table[one.superpoints[0]]), one.name) for number, one in own]
         given = [(-1, np.flatnonzero(self.stored == one), name) for one, name in self.result.segment_names.items()]
         table, names = self.table(shaped), dict[int, str]()
         sizes = np.bincount(table)
-        for _, pieces, name in given + sorted(named, key=lambda one: (-len(one[1]), one[0])):
-            found, counts = np.unique(table[pieces], return_counts=True)
+        for _, superpoints, name in given + sorted(named, key=lambda one: (-len(one[1]), one[0])):
+            found, counts = np.unique(table[superpoints], return_counts=True)
             names.update(dict.fromkeys(found[counts == sizes[found]].tolist(), name))
         return {segment: name for segment, name in names.items() if name}
 
     def level(self, granularity: float | None) -> Table:
-        """[P] the segment of each piece at a level, without edits; None: as on disk."""
+        """[P] the segment of each superpoint at a level, without edits; None: as on disk."""
         hierarchy = self.result.hierarchy
         if granularity is None or hierarchy is None:
-            return first_pieces(self.stored)
-        return first_pieces(hierarchy.segments_of_pieces(hierarchy.height_of(granularity)).numpy())
+            return first_superpoints(self.stored)
+        return first_superpoints(hierarchy.segments_of_superpoints(hierarchy.height_of(granularity)).numpy())
+
+    def ids(self, table: Table) -> Table:
+        """[P] the id of each superpoint's segment; new segments follow all on disk, by their first superpoints."""
+        firsts, number = np.unique(table, return_inverse=True)
+        is_new = first_superpoints(self.stored)[firsts] != firsts
+        ids = np.where(is_new, int(self.stored.max()) + np.cumsum(is_new), self.stored[firsts])
+        return ids[number]
 
     @cached_property
     def keys(self) -> Table:
-        """[P] for each piece, the key of the segment that begins with this piece."""
+        """[P] for each superpoint a number of the segment that begins with it, the same in all tables."""
         number = np.arange(self.count)
-        return np.where(first_pieces(self.stored) == number, self.stored, number + int(self.stored.max()) + 1)
+        return np.where(first_superpoints(self.stored) == number, self.stored, number + int(self.stored.max()) + 1)
 
 
 def edited(result: Result, edits: Edits) -> Result:
-    """Applies corrections by hand: renumbers the labels by first appearance, and sets `segment_names`."""
+    """Applies corrections by hand, and sets `segment_names`. Ids as those of :class:`Parts`; some may have no point."""
     parts = Parts(result)
-    table = parts.table(edits)
-    firsts, of_piece = np.unique(table, return_inverse=True)  # ascending: in the order of first appearance
-    names = {int(np.searchsorted(firsts, first)): name for first, name in parts.names(edits).items()}
-    segments = torch.from_numpy(of_piece.astype(np.int64))
-    pieces = None if result.hierarchy is None else result.piece_images
-    images = level_images(result.images, result.num_point_segments, segments, len(firsts), pieces)
+    ids = parts.ids(parts.table(edits))
+    names = {int(ids[first]): name for first, name in parts.names(edits).items()}
+    segments = torch.from_numpy(ids)
+    superpoints = None if result.hierarchy is None else result.superpoint_images
+    images = level_images(result.images, result.num_point_segments, segments, int(ids.max()) + 1, superpoints)
     points = segments[torch.from_numpy(parts.of_point)]
     return replace(result, points=points, images=images if len(result.images) else (), segment_names=names)

@@ -21,12 +21,12 @@ class Pick(NamedTuple):
 
     Attributes:
         points: [N] bool, the points of the cloud.
-        pieces: [K] int64, ascending, the pieces of the hierarchy; without a hierarchy, the segments. The mask of frame
-            ``i`` is ``torch.isin(result.piece_images[i], pick.pieces)``.
+        superpoints: [K] int64, ascending, the superpoints of the hierarchy; without a hierarchy, the segments. The mask
+            of frame ``i`` is ``torch.isin(result.superpoint_images[i], pick.superpoints)``.
     """
 
     points: Tensor
-    pieces: Tensor
+    superpoints: Tensor
 
 
 class Prompts(NamedTuple):
@@ -41,29 +41,31 @@ def pick(result: Segmentation, cloud: Tensor, chosen: Prompts, negative: Prompts
 
     Without a hierarchy, only whole segments can be picked.
     """
-    wanted = _pieces(result, cloud, chosen, "points", "pixels")
-    unwanted = _pieces(result, cloud, negative, "negative", "negative_pixels")
+    wanted = _superpoints(result, cloud, chosen, "points", "pixels")
+    unwanted = _superpoints(result, cloud, negative, "negative", "negative_pixels")
     if not wanted:
         raise ValueError("points, pixels: expected at least one point or pixel, got none")
     if both := wanted & unwanted:
         raise ValueError(
-            f"negative: expected points apart from the chosen ones, but both are in piece {min(both)}, the smallest "
-            "part that the segmentation knows"
+            f"negative: expected points apart from the chosen ones, but both are in superpoint {min(both)}, "
+            "the smallest part that the segmentation knows"
         )
     hierarchy = result.hierarchy
-    of_point = result.points if hierarchy is None else hierarchy.piece
+    of_point = result.points if hierarchy is None else hierarchy.superpoint
     inside = wanted if hierarchy is None else _grown(hierarchy, wanted, unwanted)
-    pieces = torch.tensor(sorted(inside))
-    return Pick(torch.isin(of_point, pieces), pieces)
+    superpoints = torch.tensor(sorted(inside))
+    return Pick(torch.isin(of_point, superpoints), superpoints)
 
 
 def _grown(hierarchy: Hierarchy, wanted: set[int], unwanted: set[int]) -> set[int]:
-    """The pieces of the largest segments that contain a wanted piece and no unwanted one."""
+    """The superpoints of the largest segments that contain a wanted superpoint and no unwanted one."""
     order = torch.argsort(hierarchy.heights, stable=True)
     merges, heights = hierarchy.merges[order].tolist(), hierarchy.heights[order].tolist()
     limit = max(hierarchy.default, _height_of_all(hierarchy, wanted))
-    groups = DisjointSet(range(hierarchy.num_pieces))
-    ended = [piece in unwanted for piece in range(hierarchy.num_pieces)]  # groups that cannot grow: one above has one
+    groups = DisjointSet(range(hierarchy.num_superpoints))
+    ended = [
+        superpoint in unwanted for superpoint in range(hierarchy.num_superpoints)
+    ]  # groups that cannot grow: one above has one
     for (a, b), height in zip(merges, heights, strict=True):
         if height > limit:
             break
@@ -72,43 +74,43 @@ def _grown(hierarchy: Hierarchy, wanted: set[int], unwanted: set[int]) -> set[in
             ended[one] = ended[other] = True
         else:
             groups.merge(a, b)
-    return set().union(*(groups.subset(piece) for piece in wanted))
+    return set().union(*(groups.subset(superpoint) for superpoint in wanted))
 
 
 def _height_of_all(hierarchy: Hierarchy, wanted: set[int]) -> float:
-    """The height at which several wanted pieces are in one segment; 0 if they never are, or there is only one."""
+    """The height at which several wanted superpoints are in one segment; 0 if they never are, or there is only one."""
     heights = hierarchy.heights.unique().tolist()
 
     def are_together(height: float) -> bool:
-        return len(hierarchy.segments_of_pieces(height)[list(wanted)].unique()) == 1
+        return len(hierarchy.segments_of_superpoints(height)[list(wanted)].unique()) == 1
 
     place = bisect_left(heights, True, key=are_together) if len(wanted) > 1 else len(heights)
     return heights[place] if place < len(heights) else 0.0
 
 
-def _pieces(result: Segmentation, cloud: Tensor, prompts: Prompts, name: str, pixel_name: str) -> set[int]:
-    """The pieces of some points and pixels; the names are those of the arguments."""
-    of_point = result.points if result.hierarchy is None else result.hierarchy.piece
+def _superpoints(result: Segmentation, cloud: Tensor, prompts: Prompts, name: str, pixel_name: str) -> set[int]:
+    """The superpoints of some points and pixels; the names are those of the arguments."""
+    of_point = result.points if result.hierarchy is None else result.hierarchy.superpoint
     found = set() if prompts.points is None else set(of_point[_indices(cloud, prompts.points, name)].tolist())
     count = int(of_point.max()) + 1
     for pixel in prompts.pixels:
-        found.add(_piece_of_pixel(result, pixel, count, pixel_name))
+        found.add(_superpoint_of_pixel(result, pixel, count, pixel_name))
     return found
 
 
-def _piece_of_pixel(result: Segmentation, pixel: tuple[int, int, int], count: int, name: str) -> int:
+def _superpoint_of_pixel(result: Segmentation, pixel: tuple[int, int, int], count: int, name: str) -> int:
     if len(pixel) != 3 or not all(isinstance(value, int) for value in pixel):
         raise TypeError(f"{name}: expected (frame, column, row), got {pixel!r}")
     frame, column, row = pixel
     if not 0 <= frame < len(result.images):
         raise ValueError(f"{name}: expected a frame from 0 to {len(result.images) - 1}, got {frame}")
-    image = result.images[frame] if result.hierarchy is None else result.piece_images[frame]
+    image = result.images[frame] if result.hierarchy is None else result.superpoint_images[frame]
     if not (0 <= row < image.shape[0] and 0 <= column < image.shape[1]):
         raise ValueError(f"{name}: expected a pixel of {image.shape[1]} x {image.shape[0]}, got {column}, {row}")
-    piece = int(image[row, column])
-    if not 0 <= piece < count:
+    superpoint = int(image[row, column])
+    if not 0 <= superpoint < count:
         raise ValueError(f"{name}: expected a pixel of a segment of the cloud; {column}, {row} is of none")
-    return piece
+    return superpoint
 
 
 def _indices(cloud: Tensor, points: Tensor, name: str) -> Tensor:

@@ -188,6 +188,6 @@ class Result(Segmentation):
 
         Raises:
             TypeError, ValueError: naming the argument, what was expected and what came; or nothing was chosen, or a
-                chosen point and a negative one lie in one piece.
+                chosen point and a negative one lie in one superpoint.
         """
         return pick(self, self.scene.points, Prompts(points, pixels), Prompts(negative, negative_pixels))

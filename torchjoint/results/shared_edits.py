@@ -52,9 +52,9 @@ def read_point_labels(file: Path, num_points: int) -> PointLabels | None:
 def edits_of_points(parts: Parts, before: Edits, labels: PointLabels) -> tuple[tuple[Edit, ...], int]:
     """The corrections that edited labels mean.
 
-    A piece belongs to the object that most of its points have; if that is none, to the object that most points of its
-    segment have. All pieces of an object become one segment, unless they are one already. So labels that nobody edited
-    change nothing, and a segment whose points have no object any more stays.
+    A superpoint belongs to the object that most of its points have; if that is none, to the object that most points of
+    its segment have. All superpoints of an object become one segment, unless they are one already. So labels that
+    nobody edited change nothing, and a segment whose points have no object any more stays.
 
     Args:
         parts: of the result.
@@ -62,32 +62,34 @@ def edits_of_points(parts: Parts, before: Edits, labels: PointLabels) -> tuple[t
         labels: after the edits.
 
     Returns:
-        the corrections; and how many points have another object than their piece.
+        the corrections; and how many points have another object than their superpoint.
     """
     table = parts.table(before)
     labelled = labels.of_point > 0
-    of_piece = _most(parts.of_point, labels.of_point, parts.count)
+    of_superpoint = _most(parts.of_point, labels.of_point, parts.count)
     of_segment = _most(table[parts.of_point[labelled]], labels.of_point[labelled], parts.count)
-    of_piece = np.where(of_piece > 0, of_piece, of_segment[table])
-    found, sizes = np.unique(of_piece[parts.of_point], return_counts=True)
-    pieces_of = {one: np.flatnonzero(of_piece == one) for one in found[np.argsort(-sizes, kind="stable")] if one > 0}
+    of_superpoint = np.where(of_superpoint > 0, of_superpoint, of_segment[table])
+    found, sizes = np.unique(of_superpoint[parts.of_point], return_counts=True)
+    superpoints_of = {
+        one: np.flatnonzero(of_superpoint == one) for one in found[np.argsort(-sizes, kind="stable")] if one > 0
+    }
     gathered: list[Edit] = []
     kept: set[int] = set()
-    for pieces in pieces_of.values():
-        segments = set(table[pieces].tolist())
+    for superpoints in superpoints_of.values():
+        segments = set(table[superpoints].tolist())
         if len(segments) == 1 and not segments & kept:
             kept |= segments  # the largest object of a segment is what the others leave
         else:
-            gathered.append(Edit("gather", tuple(pieces.tolist())))
+            gathered.append(Edit("gather", tuple(superpoints.tolist())))
     after = replace(before, steps=(*before.steps, *gathered))
     table, names = parts.table(after), parts.names(after)
-    first = {one: int(pieces[0]) for one, pieces in pieces_of.items()}
+    first = {one: int(superpoints[0]) for one, superpoints in superpoints_of.items()}
     named = [
         Edit("name", (first[one],), name)
         for one, name in sorted(labels.names.items())
         if one in first and _told(name) != _told(names.get(int(table[first[one]]), ""))
     ]
-    lost = int((labelled & (labels.of_point != of_piece[parts.of_point])).sum())
+    lost = int((labelled & (labels.of_point != of_superpoint[parts.of_point])).sum())
     return (*gathered, *named), lost
 
 
@@ -117,7 +119,7 @@ class BoxEdits(NamedTuple):
     empty: tuple[int, ...]  #: boxes that are those of no segment
 
 
-def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.int64]) -> BoxEdits:
+def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray[np.int64]) -> BoxEdits:
     """The corrections that edited boxes mean.
 
     Each box belongs to one segment: the pairs are taken by the IoU of the points in the box with those in the segment's
@@ -128,7 +130,7 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.i
     Args:
         result: its labels are those from which the boxes were exported, with all corrections before.
         boxes: after the edits, in any order.
-        piece: [N] the piece of each point, which does not change with corrections.
+        superpoint: [N] the superpoint of each point, which does not change with corrections.
     """
     points, labels = result.scene.points.double().numpy(), result.points.numpy()
     own = boxes_of(result)
@@ -136,7 +138,7 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], piece: npt.NDArray[np.i
     segment_of = _matches(inside, _members([*own.values()], points), [*own])
     known = np.flatnonzero(labels >= 0)
     first = np.full(int(labels.max()) + 1, len(points))
-    np.minimum.at(first, labels[known], piece[known])
+    np.minimum.at(first, labels[known], superpoint[known])
     shape = len(points), len(first)
     of_segment = csr_array((np.ones(len(known), np.int64), (known, labels[known])), shape=shape)
     shares = ((inside @ of_segment) / np.maximum(of_segment.sum(0), 1)).tocsc()  # [B, S]
@@ -203,7 +205,7 @@ def save_edits(folder: Path, edits: Edits, before: Edits, parts: Parts) -> Edits
         what edits.json now holds: the corrections of the others, then the own ones.
     """
     with lock(folder / f".{FILE}.lock", f"{folder / FILE}: another program is saving; save again"):
-        saved = read_edits(folder, edits.num_pieces)
+        saved = read_edits(folder, edits.num_superpoints)
         theirs = saved.steps if (folder / FILE).exists() else before.steps  # who has moved the file, has undone nothing
         if saved.of != edits.of:
             raise ValueError(f"{folder}: expected the result that was opened, got another; not saved, open it again")
@@ -224,7 +226,7 @@ def merged_steps(before: Steps, theirs: Steps, own: Steps) -> Steps:
     What both have added first counts once.
 
     Example:
-        >>> a, b, c = (Edit("join", (0, piece)) for piece in (1, 2, 3))
+        >>> a, b, c = (Edit("join", (0, superpoint)) for superpoint in (1, 2, 3))
         >>> merged_steps((a,), (a, b), (c,)) == (b, c)
         True
     """

@@ -1,4 +1,4 @@
-"""The levels of a segmentation: a tree of merges, from small pieces to connected parts of the cloud.
+"""The levels of a segmentation: a tree of merges, from small superpoints to connected parts of the cloud.
 
 The votes of the members tell how sure a segment is.
 """
@@ -23,57 +23,57 @@ OFFSET, PER_IOU, PER_LOG_POINTS = -4.775, 2.504, 0.5272
 
 
 class Confidence(NamedTuple):
-    """The confidence in S segments, which consist of P pieces."""
+    """The confidence in S segments, which consist of P superpoints."""
 
     of_segment: Tensor  #: [S] float64, the probability that the segment has an IoU of at least .5 with an object
-    of_piece: Tensor  #: [P] float64, the probability of this, and that the piece is part of this object
+    of_superpoint: Tensor  #: [P] float64, the probability of this, and that the superpoint is part of this object
 
 
 class Agreement(NamedTuple):
-    """How far the members agree with S segments, which consist of P pieces."""
+    """How far the members agree with S segments, which consist of P superpoints."""
 
     iou: Tensor  #: [S] float64, mean over the members
     points: Tensor  #: [S] float64, number of distinct points
-    share: Tensor  #: [P] float64, share of the members whose segment has the piece, too
+    share: Tensor  #: [P] float64, share of the members whose segment has the superpoint, too
 
 
 class Votes(NamedTuple):
-    """The segments of each of T members, who segmented the same P pieces."""
+    """The segments of each of T members, who segmented the same P superpoints."""
 
-    segments: Tensor  #: [T, P] int64, for each member the segment of each piece, 0, 1, ...
-    size: Tensor  #: [P] int64, distinct points of each piece
+    segments: Tensor  #: [T, P] int64, for each member the segment of each superpoint, 0, 1, ...
+    size: Tensor  #: [P] int64, distinct points of each superpoint
 
     def renumbered(self, number: Tensor) -> Votes:
-        """The same, where the pieces have other numbers [P] int64."""
+        """The same, where the superpoints have other numbers [P] int64."""
         segments, size = torch.empty_like(self.segments), torch.empty_like(self.size)
         segments[:, number], size[number] = self.segments, self.size
         return Votes(segments, size)
 
-    def confidence(self, of_piece: Tensor) -> Confidence:
-        """The confidence in any segments of the pieces, [P] int64 with numbers 0 ... S - 1."""
-        iou, points, share = self.agreement(of_piece)
+    def confidence(self, of_superpoint: Tensor) -> Confidence:
+        """The confidence in any segments of the superpoints, [P] int64 with numbers 0 ... S - 1."""
+        iou, points, share = self.agreement(of_superpoint)
         of_segment = torch.sigmoid(OFFSET + PER_IOU * iou + PER_LOG_POINTS * points.clamp(min=1).log())
-        return Confidence(of_segment, of_segment[of_piece] * share)
+        return Confidence(of_segment, of_segment[of_superpoint] * share)
 
-    def agreement(self, of_piece: Tensor) -> Agreement:
-        """How far the members agree with any segments of the pieces, [P] int64 with numbers 0 ... S - 1.
+    def agreement(self, of_superpoint: Tensor) -> Agreement:
+        """How far the members agree with any segments of the superpoints, [P] int64 with numbers 0 ... S - 1.
 
         For each member, a segment is compared with that segment of the member which has the highest IoU with it.
         """
-        count = int(of_piece.max()) + 1
-        points = _sums(of_piece, self.size, count)
-        iou, share = torch.zeros(count, dtype=torch.float64), torch.zeros(len(of_piece), dtype=torch.float64)
+        count = int(of_superpoint.max()) + 1
+        points = _sums(of_superpoint, self.size, count)
+        iou, share = torch.zeros(count, dtype=torch.float64), torch.zeros(len(of_superpoint), dtype=torch.float64)
         for member in self.segments:
-            best, partner = _best_partners(of_piece, member, self.size, points)
+            best, partner = _best_partners(of_superpoint, member, self.size, points)
             iou += best / len(self.segments)
-            share += (member == partner[of_piece]).double() / len(self.segments)
+            share += (member == partner[of_superpoint]).double() / len(self.segments)
         return Agreement(iou, points, share)
 
 
-def _best_partners(of_piece: Tensor, member: Tensor, size: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+def _best_partners(of_superpoint: Tensor, member: Tensor, size: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     """For each segment the highest IoU with one of the member's segments, [S] float64, and the number of that one."""
     num_theirs = int(member.max()) + 1
-    pair, of_pair = torch.unique(of_piece * num_theirs + member, return_inverse=True)
+    pair, of_pair = torch.unique(of_superpoint * num_theirs + member, return_inverse=True)
     common = _sums(of_pair, size, len(pair))
     segment, other = pair // num_theirs, pair % num_theirs
     iou = common / (points[segment] + _sums(member, size, num_theirs)[other] - common).clamp(min=1)
@@ -89,57 +89,57 @@ def _sums(group: Tensor, size: Tensor, count: int) -> Tensor:
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """All levels of a segmentation of N points: P pieces, and the M merges that join them step by step.
+    """All levels of a segmentation of N points: P superpoints, and the M merges that join them step by step.
 
     A level consists of the segments after all merges up to some height. Levels are nested: every segment of a level
     lies inside one segment of each coarser level.
 
     Attributes:
-        piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance; -1 = none, as of beams without
-            return.
-        merges: [M, 2] int64, M < P: two pieces; a merge joins the two segments that contain them.
+        superpoint: [N] int64, superpoint of each point, 0 ... P - 1, numbered by first appearance; -1 = none, as of
+            beams without return.
+        merges: [M, 2] int64, M < P: two superpoints; a merge joins the two segments that contain them.
         heights: [M] float64 in [0, 1]: up to what probability of a boundary regions must merge, until most members have
             the two segments together; of a LiDAR scan, how large a gap joins them. It is at least the height of each
             merge inside them.
         default: height of the default level.
-        votes: the segments of each member at the default level; None: there were no members.
+        votes: the segments of each member at the default level; None: there was no ensemble.
 
     Raises:
         TypeError, ValueError: naming the attribute, what was expected and what came.
 
     Example:
-        >>> piece, merges = torch.tensor([0, 0, 1, 2]), torch.tensor([[0, 1], [0, 2]])
-        >>> hierarchy = Hierarchy(piece, merges, torch.tensor([0.3, 0.7], dtype=torch.float64))
+        >>> superpoint, merges = torch.tensor([0, 0, 1, 2]), torch.tensor([[0, 1], [0, 2]])
+        >>> hierarchy = Hierarchy(superpoint, merges, torch.tensor([0.3, 0.7], dtype=torch.float64))
         >>> hierarchy.at(1.0), hierarchy.at(0.5), hierarchy.at(0.0)
         (tensor([0, 0, 1, 2]), tensor([0, 0, 0, 1]), tensor([0, 0, 0, 0]))
     """
 
-    piece: Tensor
+    superpoint: Tensor
     merges: Tensor
     heights: Tensor
     default: float = 0.5
     votes: Votes | None = None
 
     def __post_init__(self) -> None:
-        shapes = {"piece": (torch.int64, 1), "merges": (torch.int64, 2), "heights": (torch.float64, 1)}
+        shapes = {"superpoint": (torch.int64, 1), "merges": (torch.int64, 2), "heights": (torch.float64, 1)}
         for name, (dtype, dimensions) in shapes.items():
             tensor: object = getattr(self, name)
             if not isinstance(tensor, Tensor) or tensor.dtype != dtype or tensor.dim() != dimensions:
                 got = f"{tensor.dtype} {list(tensor.shape)}" if isinstance(tensor, Tensor) else type(tensor).__name__
                 raise TypeError(f"{name}: expected a {dtype} tensor of {dimensions} dimensions, got {got}")
-        known = self.piece[self.piece != -1]
+        known = self.superpoint[self.superpoint != -1]
         if not len(known) or int(known[0]) != 0 or int(known.min()) < 0:
-            raise ValueError("piece: expected numbers >= 0, or -1 = none, of which the first is 0")
+            raise ValueError("superpoint: expected numbers >= 0, or -1 = none, of which the first is 0")
         if (known[1:] > known.cummax(0).values[:-1] + 1).any():
-            raise ValueError("piece: expected numbers by first appearance, 0, 1, ... without gaps")
-        if self.merges.shape != (len(self.heights), 2) or len(self.heights) >= self.num_pieces:
+            raise ValueError("superpoint: expected numbers by first appearance, 0, 1, ... without gaps")
+        if self.merges.shape != (len(self.heights), 2) or len(self.heights) >= self.num_superpoints:
             raise ValueError(
-                f"merges: expected shape [M, 2] with M = {len(self.heights)} heights below {self.num_pieces} pieces, "
-                f"got {list(self.merges.shape)}"
+                f"merges: expected shape [M, 2] with M = {len(self.heights)} heights below {self.num_superpoints} "
+                f"superpoints, got {list(self.merges.shape)}"
             )
-        if self.merges.numel() and not 0 <= int(self.merges.min()) <= int(self.merges.max()) < self.num_pieces:
+        if self.merges.numel() and not 0 <= int(self.merges.min()) <= int(self.merges.max()) < self.num_superpoints:
             came = f"got {int(self.merges.min())} to {int(self.merges.max())}"
-            raise ValueError(f"merges: expected pieces in [0, {self.num_pieces}), {came}")
+            raise ValueError(f"merges: expected superpoints in [0, {self.num_superpoints}), {came}")
         if not ((self.heights >= 0) & (self.heights <= 1)).all():
             raise ValueError("heights: expected numbers in [0, 1]")
         if not 0 <= self.default <= 1:
@@ -148,7 +148,7 @@ class Hierarchy:
             self._check_votes(*self.votes)
 
     def _check_votes(self, segments: Tensor, size: Tensor) -> None:
-        count = self.num_pieces
+        count = self.num_superpoints
         if segments.dtype != torch.int64 or segments.dim() != 2 or not len(segments) or segments.shape[1] != count:
             raise ValueError(f"votes: expected segments [T, {count}] int64, got {segments.dtype} {[*segments.shape]}")
         if not 0 <= int(segments.min()) <= int(segments.max()) < count:
@@ -157,12 +157,14 @@ class Hierarchy:
             raise ValueError(f"votes: expected sizes [{count}] int64 of at least 1 point")
 
     def __repr__(self) -> str:
-        return f"Hierarchy({len(self.piece)} points, {self.num_pieces} pieces, {len(self.merges)} merges)"
+        return (
+            f"Hierarchy({len(self.superpoint)} points, {self.num_superpoints} superpoints, {len(self.merges)} merges)"
+        )
 
     @cached_property
-    def num_pieces(self) -> int:
-        """P, the number of pieces."""
-        return int(self.piece.max()) + 1
+    def num_superpoints(self) -> int:
+        """P, the number of superpoints."""
+        return int(self.superpoint.max()) + 1
 
     def height_of(self, granularity: float) -> float:
         """The height of a level. Granularity 0 (coarsest) has height 1, 0.5 has the default height, 1 (finest) has 0.
@@ -178,21 +180,21 @@ class Hierarchy:
         return 1 - 2 * (1 - self.default) * granularity
 
     @one_thread_per_operation()
-    def segments_of_pieces(self, height: float) -> Tensor:
-        """The segment of each piece, [P] int64, after all merges up to a height."""
-        return ops.connected_components(self.merges[self.heights <= height].t(), self.num_pieces)
+    def segments_of_superpoints(self, height: float) -> Tensor:
+        """The segment of each superpoint, [P] int64, after all merges up to a height."""
+        return ops.connected_components(self.merges[self.heights <= height].t(), self.num_superpoints)
 
     @one_thread_per_operation()
     def cut(self, height: float) -> Tensor:
         """Labels [N] int64 after all merges up to a height, numbered by first appearance."""
-        return with_none(self.segments_of_pieces(height))[self.piece]
+        return with_none(self.segments_of_superpoints(height))[self.superpoint]
 
     def at(self, granularity: float = 0.5) -> Tensor:
         """Labels [N] int64 of a level, numbered by first appearance.
 
         Args:
-            granularity: from 0 (coarse: each connected part is one segment) to 1 (fine: each piece is one). 0.5 is the
-                default level.
+            granularity: from 0 (coarse: each connected part is one segment) to 1 (fine: each superpoint is one). 0.5 is
+                the default level.
 
         Raises:
             TypeError: `granularity` is not a number.
@@ -201,25 +203,25 @@ class Hierarchy:
         return self.cut(self.height_of(granularity))
 
     def transferred(self, of_point: Tensor) -> tuple[Hierarchy, Tensor]:
-        """The same hierarchy for K other points; each takes the piece of one of the N points.
+        """The same hierarchy for K other points; each takes the superpoint of one of the N points.
 
         Args:
-            of_point: [K] int64, for each new point, one of the N points; -1 = none. Every piece must occur.
+            of_point: [K] int64, for each new point, one of the N points; -1 = none. Every superpoint must occur.
 
         Returns:
-            the hierarchy of the K points, with its pieces numbered by first appearance among them; and [P] int64, the
-            new number of each piece.
+            the hierarchy of the K points, with its superpoints numbered by first appearance among them; and [P] int64,
+            the new number of each superpoint.
 
         Raises:
-            ValueError: a piece does not occur.
+            ValueError: a superpoint does not occur.
         """
-        piece = with_none(self.piece)[of_point]
-        known = piece[piece >= 0]
-        if (torch.bincount(known, minlength=self.num_pieces) == 0).any():
-            raise ValueError(f"of_point: expected points of all {self.num_pieces} pieces")
-        number = numbers_by_first_place(known, self.num_pieces)
+        superpoint = with_none(self.superpoint)[of_point]
+        known = superpoint[superpoint >= 0]
+        if (torch.bincount(known, minlength=self.num_superpoints) == 0).any():
+            raise ValueError(f"of_point: expected points of all {self.num_superpoints} superpoints")
+        number = numbers_by_first_place(known, self.num_superpoints)
         votes = None if self.votes is None else self.votes.renumbered(number)
-        return replace(self, piece=with_none(number)[piece], merges=number[self.merges], votes=votes), number
+        return replace(self, superpoint=with_none(number)[superpoint], merges=number[self.merges], votes=votes), number
 
 
 def check_granularity(granularity: float, name: str = "granularity") -> None:

@@ -18,16 +18,21 @@ from torchjoint.scene.scene import Scene
 
 
 def level_images(
-    images: Sequence[Tensor], num_before: int, table: Tensor, num_after: int, pieces: Sequence[Tensor] | None = None
+    images: Sequence[Tensor],
+    num_before: int,
+    table: Tensor,
+    num_after: int,
+    superpoints: Sequence[Tensor] | None = None,
 ) -> LazySequence[Tensor]:
     """Label images with the labels of another level, or with other numbers: [H, W] int64, computed at each access.
 
     Args:
         images: [H, W] int64 per frame, -1 = none. Segments with ids from `num_before` on have no points; they stay.
         num_before: number of 3D segments in `images`.
-        table: [K] int64, the new label of each 3D segment, or of each piece.
+        table: [K] int64, the new label of each 3D segment, or of each superpoint.
         num_after: number of 3D segments after the change; the ids of segments without points follow.
-        pieces: for a table of pieces: [H, W] int64 per frame, the piece of each pixel in a 3D segment, else -1.
+        superpoints: for a table of superpoints: [H, W] int64 per frame, the superpoint of each pixel in a 3D segment,
+            else -1.
     """
     known = torch.cat([table.new_full((1,), -1), table])  # -1 stays -1
 
@@ -35,9 +40,9 @@ def level_images(
     def level(index: int) -> Tensor:
         labels = images[index]
         private = labels >= num_before
-        of_table = labels.masked_fill(private, -1) if pieces is None else pieces[index]
+        of_table = labels.masked_fill(private, -1) if superpoints is None else superpoints[index]
         if of_table.shape != labels.shape:
-            raise ValueError(f"pieces of image {index}: expected {list(labels.shape)}, got {list(of_table.shape)}")
+            raise ValueError(f"superpoints of image {index}: expected {list(labels.shape)}, got {list(of_table.shape)}")
         found = known.index_select(0, of_table.reshape(-1) + 1).view(labels.shape)
         return torch.where(private, labels + (num_after - num_before), found)
 
@@ -81,9 +86,9 @@ class Segmentation:
         seconds: seconds per stage, added up over threads.
         hierarchy: all levels of the segmentation, from which :meth:`at` chooses; None if the method makes none, as
             method paper.
-        piece_images: with a hierarchy, a sequence of [H, W] int64, one per frame: the piece of the hierarchy in each
-            pixel of a 3D segment, else -1. Each image is computed at its first use, so the segmentation keeps the
-            frames' observations.
+        superpoint_images: with a hierarchy, a sequence of [H, W] int64, one per frame: the superpoint of the hierarchy
+            in each pixel of a 3D segment, else -1. Each image is computed at its first use, so the segmentation keeps
+            the frames' observations.
     """
 
     points: Tensor
@@ -92,7 +97,7 @@ class Segmentation:
     names: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
     hierarchy: Hierarchy | None = None
-    piece_images: Sequence[Tensor] = ()
+    superpoint_images: Sequence[Tensor] = ()
 
     def __repr__(self) -> str:
         levels = ", all levels" if self.hierarchy is not None else ""
@@ -111,7 +116,7 @@ class Segmentation:
         """How sure each segment of the cloud is: [num_point_segments] float64 in [0, 1].
 
         It is the probability that the segment has an IoU of at least .5 with an object. It follows from how far the
-        members of method learned agree; with masks there are three, and it is not calibrated. None: no members.
+        members of method learned agree; with masks there are three, and it is not calibrated. None: no ensemble.
         """
         return None if self._confidence is None else self._confidence.of_segment
 
@@ -124,22 +129,22 @@ class Segmentation:
         """
         if self._confidence is None or self.hierarchy is None:
             return None
-        return with_none(self._confidence.of_piece)[self.hierarchy.piece].clamp(min=0)
+        return with_none(self._confidence.of_superpoint)[self.hierarchy.superpoint].clamp(min=0)
 
     @cached_property
     def _confidence(self) -> Confidence | None:
         if self.hierarchy is None or self.hierarchy.votes is None:
             return None
-        of_piece = torch.zeros(self.hierarchy.num_pieces + 1, dtype=torch.int64)  # the last one: -1
-        of_piece[self.hierarchy.piece] = self.points
-        return self.hierarchy.votes.confidence(of_piece[:-1])
+        of_superpoint = torch.zeros(self.hierarchy.num_superpoints + 1, dtype=torch.int64)  # the last one: -1
+        of_superpoint[self.hierarchy.superpoint] = self.points
+        return self.hierarchy.votes.confidence(of_superpoint[:-1])
 
     def labelled(self, scene: Scene) -> tuple[Self, Scene]:
         """The same of the points that have a label, and the scene with only these."""
         keep = self.points >= 0
         if bool(keep.all()):
             return self, scene
-        levels = self.hierarchy and replace(self.hierarchy, piece=self.hierarchy.piece[keep])
+        levels = self.hierarchy and replace(self.hierarchy, superpoint=self.hierarchy.superpoint[keep])
         return replace(self, points=self.points[keep], hierarchy=levels), scene.select_points(keep)
 
     @one_thread_per_operation()
@@ -150,8 +155,8 @@ class Segmentation:
         Image segments without points are the same in all levels.
 
         Args:
-            granularity: from 0 (coarse: each connected part is one segment) to 1 (fine: each piece is one). 0.5 is the
-                default level, the labels of :meth:`torchjoint.JointSegmenter.compute`.
+            granularity: from 0 (coarse: each connected part is one segment) to 1 (fine: each superpoint is one). 0.5 is
+                the default level, the labels of :meth:`torchjoint.JointSegmenter.compute`.
 
         Returns:
             labels of points and images. The images are computed when they are used.
@@ -164,22 +169,22 @@ class Segmentation:
             raise ValueError(
                 "hierarchy: expected a segmentation with levels, got one level, as of point_segments.method paper"
             )
-        of_piece = self.hierarchy.segments_of_pieces(self.hierarchy.height_of(granularity))
-        points = with_none(of_piece)[self.hierarchy.piece]
+        of_superpoint = self.hierarchy.segments_of_superpoints(self.hierarchy.height_of(granularity))
+        points = with_none(of_superpoint)[self.hierarchy.superpoint]
         images: Sequence[Tensor] = ()
         if len(self.images):
-            images = self._images_at(of_piece, points)
+            images = self._images_at(of_superpoint, points)
         return replace(self, points=points, images=images)
 
-    def _images_at(self, of_piece: Tensor, points: Tensor) -> Sequence[Tensor]:
-        num_before, num_after = self.num_point_segments, int(of_piece.max()) + 1
+    def _images_at(self, of_superpoint: Tensor, points: Tensor) -> Sequence[Tensor]:
+        num_before, num_after = self.num_point_segments, int(of_superpoint.max()) + 1
         of_segment = torch.zeros(num_before + 1, dtype=torch.int64)  # the last one: -1
         of_segment[self.points] = points
         if torch.equal(of_segment[self.points], points):  # not finer: each segment lies inside one new segment
             return level_images(self.images, num_before, of_segment[:-1], num_after)
-        if len(self.piece_images) != len(self.images):
+        if len(self.superpoint_images) != len(self.images):
             raise ValueError(
-                f"piece_images: expected one for each of {len(self.images)} images (finer levels need them), got "
-                f"{len(self.piece_images)}"
+                f"superpoint_images: expected one for each of {len(self.images)} images (finer levels need them), got "
+                f"{len(self.superpoint_images)}"
             )
-        return level_images(self.images, num_before, of_piece, num_after, self.piece_images)
+        return level_images(self.images, num_before, of_superpoint, num_after, self.superpoint_images)

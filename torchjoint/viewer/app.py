@@ -97,7 +97,7 @@ class Viewer:
         return self._shown.folder
 
     def replace(self, result: Result) -> None:
-        """Shows another result of the same scene. Corrections stay if it has the same pieces."""
+        """Shows another result of the same scene. Corrections stay if it has the same superpoints."""
         with self._lock:
             self.model = self.model.of_result(result)
             self._draw()
@@ -251,10 +251,12 @@ class Viewer:
         elif kind == "row":
             self._choose(self.model.segment_of_key(int(values[0])), values[1] == "1")
         elif kind == "image":
-            pieces = self.model.parts.image(self._frame_index())
-            column, row = np.clip([*map(int, values[:2])], 0, np.array(pieces.shape[::-1]) - 1)  # an edge may give -1
-            piece = int(pieces[row, column])
-            self._on_point(None if piece < 0 else self.model.parts.middle(piece), values[2] == "1")
+            superpoints = self.model.parts.image(self._frame_index())
+            column, row = np.clip(
+                [*map(int, values[:2])], 0, np.array(superpoints.shape[::-1]) - 1
+            )  # an edge may give -1
+            superpoint = int(superpoints[row, column])
+            self._on_point(None if superpoint < 0 else self.model.parts.middle(superpoint), values[2] == "1")
 
     def _on_ray(self, event: Any, more: bool) -> None:
         ray = np.array(event.ray_origin), np.array(event.ray_direction)

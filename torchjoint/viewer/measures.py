@@ -28,29 +28,30 @@ class Row:
     points: int
     size: tuple[float, float, float]  #: metres, of its upright box
     frames: int | None  #: number of frames that see it; None before all frames were read, and without frames
-    sure: float | None  #: probability that it is an object; None: no members
+    sure: float | None  #: probability that it is an object; None: no ensemble
 
 
 class Measures:
     """Measures the segments of a table on demand, and caches the measures.
 
     Args:
-        parts: pieces of the points and images.
+        parts: superpoints of the points and images.
         up: [3] upward direction, unit length.
 
     Attributes:
-        hues: [P] the number of the colour of each segment, at its first piece.
+        hues: [P] the number of the colour of each segment, at its first superpoint.
+        ids: [P] the id of each superpoint's segment.
     """
 
     def __init__(self, parts: Parts, up: npt.NDArray[np.float64]) -> None:
         self._parts, self._up, self.hues = parts, up, parts.keys
-        self._frames: list[tuple[Table, Table]] | None = None  # per frame: its pieces, and their numbers of pixels
+        self._frames: list[tuple[Table, Table]] | None = None  # per frame: its superpoints, and their numbers of pixels
 
     def of_table(self, table: Table) -> None:
-        """Changes the table: [P] the segment of each piece."""
-        self._table = table
+        """Changes the table: [P] the segment of each superpoint."""
+        self._table, self.ids = table, self._parts.ids(table)
         self._rows: dict[int, Row] = {}
-        self._number = np.unique(table, return_inverse=True)[1]  # of the segment of each piece
+        self._number = np.unique(table, return_inverse=True)[1]  # of the segment of each superpoint
         self.__dict__.pop("confidence", None)  # of the table before
         of_point = table[self._parts.of_point]
         self._order = np.argsort(of_point, kind="stable")
@@ -59,13 +60,13 @@ class Measures:
         )
 
     def read_frames(self, is_stopped: Callable[[], bool] = lambda: False) -> None:
-        """Counts the pixels of each piece in all frames, unless it is stopped; before this call, no frame is listed."""
+        """Counts the pixels of each superpoint in all frames, unless it is stopped; before that, no frame is listed."""
 
         def count(index: int) -> tuple[Table, Table]:
             if is_stopped():
                 return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-            pieces, pixels = np.unique(self._parts.image(index), return_counts=True)
-            return pieces[pieces >= 0], pixels[pieces >= 0]
+            superpoints, pixels = np.unique(self._parts.image(index), return_counts=True)
+            return superpoints[superpoints >= 0], pixels[superpoints >= 0]
 
         self._frames = parallel_map(count, range(len(self._parts.result.images)))
         self._rows.clear()
@@ -73,8 +74,8 @@ class Measures:
     def frames_of(self, segment: int) -> list[tuple[int, int]]:
         """(frame, pixels) of the frames that see a segment, most pixels first."""
         found = []
-        for index, (pieces, pixels) in enumerate(self._frames or []):
-            of_segment = int(pixels[self._table[pieces] == segment].sum())
+        for index, (superpoints, pixels) in enumerate(self._frames or []):
+            of_segment = int(pixels[self._table[superpoints] == segment].sum())
             if of_segment:
                 found.append((index, of_segment))
         return sorted(found, key=lambda one: (-one[1], one[0]))
@@ -87,7 +88,7 @@ class Measures:
             sure = self.confidence
             size = oriented_box(self._points[self._order[start : start + count]], self._up).size
             self._rows[segment] = Row(
-                int(self._parts.keys[segment]),
+                int(self.ids[segment]),
                 int(self.hues[segment]),
                 name,
                 count,
@@ -99,7 +100,7 @@ class Measures:
 
     def rows(self, names: Mapping[int, str], search: str, order: str, most: int) -> tuple[list[Row], int]:
         """See :meth:`~torchjoint.viewer.model.Model.rows`; `names`: by segment."""
-        keys = self._parts.keys
+        keys = self.ids
         found = [
             (first, count)
             for first, count in zip(self._firsts.tolist(), self._counts.tolist(), strict=True)
@@ -118,7 +119,7 @@ class Measures:
 
     @cached_property
     def confidence(self) -> Confidence | None:
-        """That the segments, in ascending order, are objects; None: no members."""
+        """That the segments, in ascending order, are objects; None: no ensemble."""
         hierarchy = self._parts.result.hierarchy
         votes = None if hierarchy is None else hierarchy.votes
         return None if votes is None else votes.confidence(torch.from_numpy(self._number))

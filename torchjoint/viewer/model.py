@@ -34,15 +34,15 @@ class Click(NamedTuple):
     belongs: bool  #: to the thing; False: the thing ends before it
 
 
-def pieces_of_clicks(parts: Parts, edits: Edits, clicks: Sequence[Click]) -> Table:
-    """The pieces of the thing of one or more clicks, ascending; a single click gives the corrected segment."""
+def superpoints_of_clicks(parts: Parts, edits: Edits, clicks: Sequence[Click]) -> Table:
+    """The superpoints of the thing of one or more clicks, ascending; a single click gives the corrected segment."""
     if len(clicks) == 1 and clicks[0].belongs:
         table = parts.table(edits)
         return np.flatnonzero(table == table[parts.of_point[clicks[0].point]])
     on, off = (
         torch.tensor([one.point for one in clicks if one.belongs == of], dtype=torch.int64) for of in (True, False)
     )
-    return _at_level(parts.result, edits.granularity).pick(on, negative=off).pieces.numpy()
+    return _at_level(parts.result, edits.granularity).pick(on, negative=off).superpoints.numpy()
 
 
 def _at_level(result: Result, level: float | None) -> Result:
@@ -67,7 +67,7 @@ class Model:
     Attributes:
         pale: grey of what is not selected, 0 to 255; nearly the page's background.
         shading: of the points, once it is computed; without it colours are flat.
-        table: [P] the segment of each piece; the number of a segment is that of its first piece.
+        table: [P] the segment of each superpoint; the number of a segment is that of its first superpoint.
         names: by segment.
         measures: of the segments.
         clicks: on the thing that is being picked.
@@ -77,7 +77,7 @@ class Model:
         self.parts, self.up = Parts(result), up
         self.result = result
         self.edits = edits
-        self.selected: tuple[int, ...] = ()  # first pieces of segments
+        self.selected: tuple[int, ...] = ()  # first superpoints of segments
         self.mode: Mode = "segments"
         self.shading: Shading | None = None
         self.pale = 235.0
@@ -93,12 +93,12 @@ class Model:
 
         Args:
             result: the other result.
-            edits: its corrections; default: those of this one, if the pieces are the same.
+            edits: its corrections; default: those of this one, if the superpoints are the same.
         """
         parts = Parts(result)
         if edits is None:
             same = np.array_equal(parts.of_point, self.parts.of_point)
-            edits = self.edits if same else replace(self.edits, num_pieces=parts.count, steps=())
+            edits = self.edits if same else replace(self.edits, num_superpoints=parts.count, steps=())
         model = Model(result, edits, self.up)
         model.shading, model.pale = self.shading, self.pale
         model.mode = self.mode if self.mode in model.modes else "segments"
@@ -129,12 +129,12 @@ class Model:
 
     def key(self, segment: int) -> int:
         """The displayed id of a segment."""
-        return int(self.parts.keys[segment])
+        return int(self.measures.ids[segment])
 
     def segment_of_key(self, key: int) -> int | None:
         """The segment with a displayed id; None if this level has no such segment."""
         firsts = np.unique(self.table)
-        found = firsts[self.parts.keys[firsts] == key]
+        found = firsts[self.measures.ids[firsts] == key]
         return int(found[0]) if len(found) else None
 
     # Changes
@@ -182,9 +182,9 @@ class Model:
         """Splits the selected segment at the place that :func:`place_to_split` chooses, and selects both parts."""
         segment = self._the_selected("split")
         sizes = np.bincount(self.parts.of_point, minlength=self.parts.count)
-        of_piece = self.table == segment
+        of_superpoint = self.table == segment
         self._add(Edit("split", place_to_split(self.table, segment, sizes, self.result.hierarchy)))
-        self.select(tuple(int(part) for part in np.unique(self.table[of_piece])))
+        self.select(tuple(int(part) for part in np.unique(self.table[of_superpoint])))
 
     def name(self, name: str) -> None:
         """Names the selected segment; an empty name removes its name. Consecutive names are one change."""
@@ -219,9 +219,9 @@ class Model:
         if not clicks:
             self.select(())
             return
-        pieces = pieces_of_clicks(self.parts, self.edits, clicks)
-        self._edit(self.edits, (Edit("gather", tuple(pieces.tolist())),))
-        self.clicks, self.selected = clicks, (int(pieces[0]),)
+        superpoints = superpoints_of_clicks(self.parts, self.edits, clicks)
+        self._edit(self.edits, (Edit("gather", tuple(superpoints.tolist())),))
+        self.clicks, self.selected = clicks, (int(superpoints[0]),)
 
     def _add(self, *steps: Edit) -> None:
         before = self.edits.steps
@@ -281,7 +281,7 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     name = "-".join(f"{key}-{name}" if name else str(key) for key, name in [*called.items()][:5])
     name = file_name(name + (f"-and-{len(called) - 5}-more" if len(called) > 5 else ""))
     result = model.result
-    keys = np.where(np.isin(model.table, model.selected), model.parts.keys[model.table], -1)  # of pieces; -1: others
+    keys = np.where(np.isin(model.table, model.selected), model.measures.ids, -1)  # of superpoints; -1: others
     labels = torch.from_numpy(keys[model.parts.of_point])
     if kind == "PLY":
         chosen = result.scene.select_points(labels >= 0)
@@ -293,7 +293,9 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     images = LazySequence(len(result.images), lambda index: _labels(model, keys, index))
     if kind == "PNG":
         return f"{name}-masks.zip", _masks(images, result.names)
-    selection = replace(result, points=labels, images=images, hierarchy=None, piece_images=(), segment_names=called)
+    selection = replace(
+        result, points=labels, images=images, hierarchy=None, superpoint_images=(), segment_names=called
+    )
     return _written(f"{name}.json", lambda file: export_coco(file, selection))
 
 
@@ -304,8 +306,8 @@ def _written(name: str, write: Callable[[Path], object]) -> tuple[str, bytes]:
 
 
 def _labels(model: Model, keys: np.ndarray[tuple[int], np.dtype[np.int64]], index: int) -> Tensor:
-    pieces = model.parts.image(index)
-    return torch.from_numpy(np.where(pieces < 0, -1, keys[pieces]))
+    superpoints = model.parts.image(index)
+    return torch.from_numpy(np.where(superpoints < 0, -1, keys[superpoints]))
 
 
 def _masks(images: Sequence[Tensor], names: Sequence[str]) -> bytes:

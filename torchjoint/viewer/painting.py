@@ -21,8 +21,8 @@ from torchjoint.viewer.model import Bytes, Model
 FADED = 0.15
 
 
-def piece_colors(model: Model) -> npt.NDArray[np.float64]:
-    """[P, 3] RGB in 0 to 255 of each piece, in a mode that colours pieces."""
+def superpoint_colors(model: Model) -> npt.NDArray[np.float64]:
+    """[P, 3] RGB in 0 to 255 of each superpoint, in a mode that colours superpoints."""
     number = torch.arange(model.parts.count)
     if model.mode == "initial":
         colors = label_colors(number)
@@ -40,7 +40,7 @@ def point_colors(model: Model) -> Bytes:
         labels = scene.truth.points.numpy()
         colors = label_colors(scene.truth.points).numpy() * 255.0
     else:
-        colors = piece_colors(model)[model.parts.of_point]
+        colors = superpoint_colors(model)[model.parts.of_point]
     if model.mode == "colours" and scene.colors is not None:
         colors = scene.colors.numpy() * 255.0
     elif model.shading is not None:
@@ -54,18 +54,18 @@ def point_colors(model: Model) -> Bytes:
 def painted(model: Model, index: int, opacity: float) -> Bytes:
     """[H, W, 3] a frame under its labels; if segments are selected, only under these, with their outlines."""
     image = model.result.scene.frames[index].image.permute(1, 2, 0).numpy() * 255.0
-    pieces = model.parts.image(index)
+    superpoints = model.parts.image(index)
     if model.mode == "truth":
         truth = _truth_image(model.result, index)
         return _blend(image, truth, label_colors(torch.from_numpy(truth)).numpy() * 255.0, truth >= 0, opacity)
-    segments = np.where(pieces < 0, -1, model.table[pieces])
-    shown = np.isin(segments, model.selected) if model.selected else pieces >= 0
+    segments = np.where(superpoints < 0, -1, model.table[superpoints])
+    shown = np.isin(segments, model.selected) if model.selected else superpoints >= 0
     if model.mode == "colours" and not model.selected:
         return image.round().astype(np.uint8)
-    outlined = segments if model.mode != "initial" else pieces
+    outlined = segments if model.mode != "initial" else superpoints
     if model.selected:
         outlined, image = np.where(shown, segments, -1), np.where(shown[..., None], image, 0.5 * image + 64)
-    colors = piece_colors(model)[pieces]
+    colors = superpoint_colors(model)[superpoints]
     return _blend(image, outlined, colors, shown, opacity if model.mode != "colours" else 0.0)
 
 
@@ -84,10 +84,10 @@ def _truth_image(result: Result, index: int) -> Table:
 
 def _confidence_colors(model: Model) -> torch.Tensor:
     if (sure := model.measures.confidence) is None:
-        raise ValueError("confidence: expected a result with the votes of members, got none")
+        raise ValueError("confidence: expected a result with the votes of an ensemble, got none")
     from matplotlib import colormaps
 
-    return torch.from_numpy(colormaps["viridis"](sure.of_piece.numpy())[:, :3])
+    return torch.from_numpy(colormaps["viridis"](sure.of_superpoint.numpy())[:, :3])
 
 
 COLORS: dict[Kind, tuple[int, int, int]] = {

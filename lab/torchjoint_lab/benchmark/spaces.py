@@ -11,7 +11,7 @@ _REGIONS: Space = {
 }
 _IMAGE_EVIDENCE: Space = {
     "region_costs.weight": Between(0.05, 1.0),
-    "pieces.threshold": Choice((None, 0.015, 0.03, 0.06)),
+    "superpoints.threshold": Choice((None, 0.015, 0.03, 0.06)),
     "region_merging.agreement": Between(0.1, 0.9, or_zero=True),
     "image_support.min_size": Between(50, 1000, whole=True, or_zero=True),
     "image_support.overlap": Between(0.3, 0.8),

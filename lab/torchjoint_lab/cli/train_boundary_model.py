@@ -158,7 +158,7 @@ def _prepare(folder: Path, sources: Sequence[_Source], place: int, share: float)
     from tqdm import tqdm
 
     from torchjoint_lab.training.boundary_examples import labelled_evidence
-    from torchjoint_lab.training.piece_graph_files import PieceGraphFiles, save_evidence
+    from torchjoint_lab.training.superpoint_graph_files import SuperpointGraphFiles, save_evidence
     from torchjoint_lab.training.variation import varied
 
     paths = [folder / f"scene-{place}-{index:05d}.pt" for index in range(len(sources))]
@@ -172,7 +172,7 @@ def _prepare(folder: Path, sources: Sequence[_Source], place: int, share: float)
             except ValueError as error:
                 raise ValueError(f"{source.name}: {error}") from error
             save_evidence(path, prepared)
-    return PieceGraphFiles(paths)
+    return SuperpointGraphFiles(paths)
 
 
 def _print_scores(scores: RoundScores) -> None:

@@ -37,13 +37,13 @@ class RegionCostsConfig(Stage):
 
 
 @dataclass(frozen=True)
-class PiecesConfig(Stage):
-    """Step 6, method regions: small pieces; an edge's r becomes the mean of its own r and the r between its pieces."""
+class SuperpointsConfig(Stage):
+    """Step 6, method regions: an edge's r becomes the mean of its own r and that of its superpoints."""
 
     threshold: float | None = parameter(
-        0.03, "mean boundary cost up to which points merge into pieces; well below `region_merging.threshold`, because "
-        "pieces are never split again; less gives smaller pieces; null: no pieces, only the edges' own r", low=0,
-        high=2, sensible="null, or 0.01-0.1",
+        0.03, "mean boundary cost up to which points merge into superpoints; well below "
+        "`region_merging.threshold`, because superpoints are never split again; less gives smaller ones; null: none, "
+        "only the edges' own r", low=0, high=2, sensible="null, or 0.01-0.1",
     )  # fmt: skip
 
 
@@ -62,7 +62,7 @@ class RegionMergingConfig(Stage):
     )  # fmt: skip
     min_size: int = parameter(
         20, "smallest segment; smaller segments are joined to a neighbour; has no effect below 8, the smallest "
-        "piece, if pieces are used", unit="points", low=0, sensible="3-500",
+        "superpoint, if superpoints are used", unit="points", low=0, sensible="3-500",
     )  # fmt: skip
 
 
@@ -99,13 +99,13 @@ class RegionsConfig(Config):
     """
 
     region_costs: RegionCostsConfig = field(default_factory=RegionCostsConfig)
-    pieces: PiecesConfig = field(default_factory=PiecesConfig)
+    superpoints: SuperpointsConfig = field(default_factory=SuperpointsConfig)
     region_merging: RegionMergingConfig = field(default_factory=RegionMergingConfig)
     image_support: ImageSupportConfig = field(default_factory=ImageSupportConfig)
     occlusion_bridging: OcclusionBridgingConfig = field(default_factory=OcclusionBridgingConfig)
 
     afterwards: ClassVar[tuple[str, ...]] = (
-        *Config.afterwards, "region_costs", "pieces", "region_merging", "image_support", "occlusion_bridging",
+        *Config.afterwards, "region_costs", "superpoints", "region_merging", "image_support", "occlusion_bridging",
     )  # fmt: skip
     before: ClassVar[tuple[str, ...]] = (*Config.before, "region_costs.normal_neighbors")
 

@@ -22,12 +22,12 @@ from torchjoint.views.propagation import disagreement
 from torchjoint_lab.regions.config import RegionsConfig
 from torchjoint_lab.regions.image_support import best_overlaps
 from torchjoint_lab.regions.occlusion_bridging import bridge
-from torchjoint_lab.regions.pieces import piece_disagreement
 from torchjoint_lab.regions.small_segments import join_small, merge
+from torchjoint_lab.regions.superpoints import superpoint_disagreement
 
-#: Smallest piece, points; smaller pieces are joined to a neighbour, whatever the boundary cost. Fewer points have no
-#: reliable r of their own; more loses small objects.
-MIN_PIECE = 8
+#: Smallest superpoint, points; smaller superpoints are joined to a neighbour, whatever the boundary cost. Fewer points
+#: have no reliable r of their own; more loses small objects.
+MIN_SUPERPOINT = 8
 
 
 def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
@@ -40,10 +40,10 @@ def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
 
 
 def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Tensor:
-    """Merges points, or small pieces of them, by the mean cost of their boundaries.
+    """Merges points, or small superpoints of them, by the mean cost of their boundaries.
 
     Merging starts from single points. With images there are three more stages. The images' evidence is computed again
-    between small pieces, which merge first. Occlusion bridging joins segments that an occluder separates. Small
+    between small superpoints, which merge first. Occlusion bridging joins segments that an occluder separates. Small
     segments then need support from an image.
 
     Args:
@@ -59,11 +59,11 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Tensor:
     normals, oriented = orient_normals(graph, evidence.facing)
     planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
     crease = crease_costs(graph.edge_index, planes, oriented, costs.convex_factor)
-    piece = torch.arange(graph.num_points)
+    superpoint = torch.arange(graph.num_points)
     if not evidence.observations or costs.weight == 0:  # images have no say
-        return merge(piece, graph.edge_index, crease, merging.threshold, merging.min_size)
-    piece, cost = _pieces(graph, crease, evidence, config)
-    found = merge(piece, graph.edge_index, cost, merging.threshold, merging.min_size)
+        return merge(superpoint, graph.edge_index, crease, merging.threshold, merging.min_size)
+    superpoint, cost = _superpoints(graph, crease, evidence, config)
+    found = merge(superpoint, graph.edge_index, cost, merging.threshold, merging.min_size)
     found = bridge(found, planes, evidence.observations, config.occlusion_bridging)
     support = config.image_support
     if support.min_size == 0:
@@ -72,17 +72,19 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Tensor:
     return join_small(found, graph.edge_index, cost, supported, support.min_size)
 
 
-def _pieces(graph: PointGraph, crease: Tensor, evidence: Evidence, config: RegionsConfig) -> tuple[Tensor, Tensor]:
-    """What merging starts from: the piece of each point [N], and the cost of each edge [E]."""
+def _superpoints(graph: PointGraph, crease: Tensor, evidence: Evidence, config: RegionsConfig) -> tuple[Tensor, Tensor]:
+    """What merging starts from: the superpoint of each point [N], and the cost of each edge [E]."""
     costs, agreement = config.region_costs, config.region_merging.agreement
-    piece, threshold = torch.arange(graph.num_points), config.pieces.threshold
+    superpoint, threshold = torch.arange(graph.num_points), config.superpoints.threshold
     r = disagreement(evidence.views, evidence.overlap_sum, costs.overlap_threshold)
     cost = combined_costs(crease, r, costs.weight, agreement)
     if threshold is None:
-        return piece, cost
-    piece = merge(piece, graph.edge_index, cost, threshold, MIN_PIECE)
-    of_pieces = piece_disagreement(piece, graph.edge_index, evidence.observations, costs.overlap_threshold)
-    return piece, combined_costs(crease, (r + of_pieces) / 2, costs.weight, agreement)
+        return superpoint, cost
+    superpoint = merge(superpoint, graph.edge_index, cost, threshold, MIN_SUPERPOINT)
+    of_superpoints = superpoint_disagreement(
+        superpoint, graph.edge_index, evidence.observations, costs.overlap_threshold
+    )
+    return superpoint, combined_costs(crease, (r + of_superpoints) / 2, costs.weight, agreement)
 
 
 def _checked(config: Config) -> RegionsConfig:

@@ -6,7 +6,7 @@ Modules in the order of the data flow: :mod:`channels` of an image, :mod:`featur
 from all images, one :mod:`tree` grown from the samples, and :mod:`train` for all trees. :mod:`detect` runs a forest.
 
 The model: :mod:`boundary_examples` makes examples of labelled scenes, :mod:`boundary_model` trains on them;
-:mod:`piece_graph_files` keeps prepared scenes.
+:mod:`superpoint_graph_files` keeps prepared scenes.
 """
 
 from torchjoint.segments.learned.boundary_model import load_boundary_model, save_boundary_model

@@ -18,8 +18,8 @@ from torchjoint.runtime.groups import most_frequent
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.segments.learned.piece_graph import PieceGraph
-from torchjoint.segments.learned.pieces import build_piece_graph
+from torchjoint.segments.learned.superpoint_graph import SuperpointGraph
+from torchjoint.segments.learned.superpoints import build_superpoint_graph
 from torchjoint.views.observations import Observations
 
 #: How the names of the features begin that need images, and of those that need colours.
@@ -104,7 +104,7 @@ class BoundaryModelOptions:
 class LabelledEvidence(NamedTuple):
     """What the training needs of a scene."""
 
-    evidence: PieceGraph
+    evidence: SuperpointGraph
     instance: Tensor  #: [N] int64, true instance of each point of the working cloud, -1 = void
 
 
@@ -144,7 +144,7 @@ def labelled_evidence(scene: Scene, config: Config | None = None, images: bool =
     assert graph.scales is not None
     state = segmenter.state if images else replace(segmenter.state, observations=Observations())
     with one_thread_per_operation():
-        evidence = build_piece_graph(graph, graph.scales, state)
+        evidence = build_superpoint_graph(graph, graph.scales, state)
     return LabelledEvidence(evidence, _majority(scene.truth.points.long(), segmenter.graph.of_given))
 
 
@@ -154,13 +154,13 @@ def _majority(instance: Tensor, of_point: Tensor) -> Tensor:
     return values[most_frequent(number, of_point, torch.ones_like(number))]
 
 
-def boundary_examples(evidence: PieceGraph, of_piece: Tensor, instance: Tensor) -> BoundaryExamples:
-    """The boundaries of regions of pieces [P] with their features, and whether they are borders of objects."""
-    if int(of_piece.max()) == 0:
+def boundary_examples(evidence: SuperpointGraph, of_superpoint: Tensor, instance: Tensor) -> BoundaryExamples:
+    """The boundaries of regions of superpoints [P] with their features, and whether they are borders of objects."""
+    if int(of_superpoint.max()) == 0:
         return BoundaryExamples(
             torch.empty(2, 0, dtype=torch.int64), torch.empty(0, len(FEATURE_NAMES)), np.empty(0, bool), np.empty(0)
         )
-    graph, region = evidence.grouped(of_piece), of_piece[evidence.piece]
+    graph, region = evidence.grouped(of_superpoint), of_superpoint[evidence.superpoint]
     instances, of_point = torch.unique(instance.clamp(min=-1), return_inverse=True)
     counts = torch.bincount(region * len(instances) + of_point, minlength=len(graph) * len(instances))
     counts = counts.view(len(graph), len(instances)).double()

@@ -111,8 +111,8 @@ def gains(tree: Tree, truth: PartialTruth, weight: Tensor) -> Tensor:
     known = torch.nonzero(instance >= 0).squeeze(1)
     common = torch.zeros(count, len(ids) + 1, dtype=torch.float64)
     place = torch.searchsorted(ids, instance[known])
-    common.index_put_((tree.piece[known], place), torch.ones(len(known)).double(), accumulate=True)
-    common[:, -1].index_add_(0, tree.piece, truth.counts[tree.which].double())
+    common.index_put_((tree.superpoint[known], place), torch.ones(len(known)).double(), accumulate=True)
+    common[:, -1].index_add_(0, tree.superpoint, truth.counts[tree.which].double())
     common = summed_up(common, tree.parent, tree.level)
     area, common = common[:, -1:], common[:, :-1]
     iou = common / (area + size - common).clamp(min=1)
@@ -123,7 +123,9 @@ def gains(tree: Tree, truth: PartialTruth, weight: Tensor) -> Tensor:
     best_value = torch.zeros_like(iou).scatter_reduce_(0, above[:, None].expand(-1, len(ids)), value[parts], "amax")
     gain = ((best_value - value) * weight).sum(1)
     most = common.argmax(1)
-    points = summed_up(torch.bincount(tree.piece, minlength=count).double()[:, None], tree.parent, tree.level)[:, 0]
+    points = summed_up(torch.bincount(tree.superpoint, minlength=count).double()[:, None], tree.parent, tree.level)[
+        :, 0
+    ]
     cost = FRAGMENT * weight[most] * (points / WHOLE_FRAGMENT).clamp(max=1)
     cost *= common.gather(1, most[:, None])[:, 0] > 0.5 * area[:, 0].clamp(min=1)
     cost = cost[parts] * (iou[parts, most[parts]] < best[above, most[parts]])

@@ -12,7 +12,7 @@ from torchjoint import ops
 from torchjoint.segments.learned.agglomeration import merging_steps
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoostedTrees, calibrated
-from torchjoint.segments.learned.piece_graph import PieceGraph
+from torchjoint.segments.learned.superpoint_graph import SuperpointGraph
 from torchjoint_lab.training.boundary_examples import (
     BoundaryExamples,
     BoundaryModelOptions,
@@ -31,14 +31,14 @@ class SceneMerging:
 
     def __init__(self, scene: int, variant: int) -> None:
         self.scene, self.variant = scene, variant
-        self.of_piece: Tensor  # [P] int64, region of each piece before the current round
+        self.of_superpoint: Tensor  # [P] int64, region of each superpoint before the current round
         self.examples: BoundaryExamples  # of these regions
 
     def start(self, scene: LabelledEvidence) -> None:
-        """Begins with the pieces."""
-        self.of_piece = torch.arange(len(scene.evidence))
-        if self.variant == 0:  # the pieces of the other variants are the same, and teach nothing new
-            self.examples = boundary_examples(scene.evidence, self.of_piece, scene.instance)
+        """Begins with the superpoints."""
+        self.of_superpoint = torch.arange(len(scene.evidence))
+        if self.variant == 0:  # the superpoints of the other variants are the same, and teach nothing new
+            self.examples = boundary_examples(scene.evidence, self.of_superpoint, scene.instance)
 
     def advance(
         self,
@@ -61,8 +61,8 @@ class SceneMerging:
         judge = _Judge(trees, calibration, options.noise if self.variant > 0 else 0.0, np.random.default_rng(seed))
         for index, threshold in merging_steps(options.thresholds):
             if index == number - 1:
-                self.of_piece = _merged(scene.evidence, self.of_piece, threshold, judge)
-        self.examples = boundary_examples(scene.evidence, self.of_piece, scene.instance)
+                self.of_superpoint = _merged(scene.evidence, self.of_superpoint, threshold, judge)
+        self.examples = boundary_examples(scene.evidence, self.of_superpoint, scene.instance)
 
 
 class _Judge(NamedTuple):
@@ -82,11 +82,11 @@ class _Judge(NamedTuple):
         return torch.sigmoid(torch.logit(probability, eps=1e-6) + disturbance)
 
 
-def _merged(evidence: PieceGraph, of_piece: Tensor, threshold: float, judge: _Judge) -> Tensor:
-    """Merges regions of pieces [P] up to a threshold: the mean probability over the edges between two regions."""
-    graph = evidence.grouped(of_piece)
+def _merged(evidence: SuperpointGraph, of_superpoint: Tensor, threshold: float, judge: _Judge) -> Tensor:
+    """Merges regions of superpoints [P] up to a threshold: the mean probability over the edges between two regions."""
+    graph = evidence.grouped(of_superpoint)
     if graph.pairs.shape[1] == 0:
-        return of_piece
+        return of_superpoint
     cost, count = judge(boundary_features(graph)).float(), graph.boundaries.num_edges
     joined, _ = ops.region_dendrogram(graph.pairs, cost, len(graph), threshold, count)
-    return ops.connected_components(joined, len(graph))[of_piece]
+    return ops.connected_components(joined, len(graph))[of_superpoint]

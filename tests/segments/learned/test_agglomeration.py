@@ -23,7 +23,7 @@ from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundar
 from torchjoint.segments.learned.boundary_model import OF_IMAGES, PACKAGED, load_boundary_model
 from torchjoint.segments.learned.consensus import COPIES, build_consensus, jittered
 from torchjoint.segments.learned.method import segment
-from torchjoint.segments.learned.pieces import build_piece_graph
+from torchjoint.segments.learned.superpoints import build_superpoint_graph
 from torchjoint.views.evidence import Evidence
 
 LEARNED = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
@@ -62,11 +62,11 @@ def segmenter(scene):
 @pytest.fixture(scope="module")
 def evidence(segmenter):
     graph = segmenter.graph
-    return build_piece_graph(graph, graph.scales, segmenter.state)
+    return build_superpoint_graph(graph, graph.scales, segmenter.state)
 
 
 def by_probability(graph, probability, threshold):
-    """The merged regions of the pieces, by the operator that gives labels instead of merges, edge by edge."""
+    """The merged regions of the superpoints, by the operator that gives labels instead of merges, edge by edge."""
     count = graph.boundaries.num_edges
     edges, cost = graph.pairs.repeat_interleave(count, 1), probability.float().repeat_interleave(count)
     return ops.merge_regions(edges, cost, torch.ones(len(graph), dtype=torch.int64), threshold)
@@ -74,7 +74,7 @@ def by_probability(graph, probability, threshold):
 
 def after_rounds(evidence, model, *rounds):
     """The labels after rounds (number, threshold)."""
-    region, graph = evidence.piece, evidence
+    region, graph = evidence.superpoint, evidence
     for number, threshold in rounds:
         if graph.pairs.shape[1] == 0:
             break
@@ -119,17 +119,17 @@ class TestRounds:
 
     def test_the_ends(self, evidence):
         hierarchy = build_hierarchy(evidence, ByCrease(0.1, 0.3))
-        assert torch.equal(hierarchy.at(1), evidence.piece)
+        assert torch.equal(hierarchy.at(1), evidence.superpoint)
         connected = by_probability(evidence, torch.zeros(evidence.pairs.shape[1]), 1.0)
-        assert torch.equal(hierarchy.at(0), connected[evidence.piece])
+        assert torch.equal(hierarchy.at(0), connected[evidence.superpoint])
 
     def test_heights_never_fall_on_the_way_up(self, evidence):
         hierarchy = build_hierarchy(evidence, ByCrease(0.1, 0.2, 0.3))
         assert hierarchy.heights.min() >= HEIGHT_STEP
-        top = [0.0] * hierarchy.num_pieces
+        top = [0.0] * hierarchy.num_superpoints
         for (a, b), height in zip(hierarchy.merges.tolist(), hierarchy.heights.tolist(), strict=True):
             assert height >= max(top[a], top[b])
-            top[a] = height  # each merge names the lowest pieces of the two segments
+            top[a] = height  # each merge names the lowest superpoints of the two segments
         assert len(set(hierarchy.merges[:, 1].tolist())) == len(hierarchy.merges)
 
     def test_labels_are_numbered_by_first_appearance(self, evidence):
@@ -137,12 +137,12 @@ class TestRounds:
         first = [int((labels == label).nonzero()[0]) for label in range(int(labels.max()) + 1)]
         assert first == sorted(first)
         assert labels.dtype == torch.int64
-        assert labels.shape == evidence.piece.shape
+        assert labels.shape == evidence.superpoint.shape
 
     def test_stops_when_no_boundary_is_left(self, evidence):
         model = ByCrease(1.0, 1.0, 1.0)
         labels = build_hierarchy(evidence, model).at()
-        first, second = labels[first_places(evidence.piece)[evidence.pairs]]
+        first, second = labels[first_places(evidence.superpoint)[evidence.pairs]]
         assert torch.equal(first, second)
         assert model.asked[-1][1] < evidence.pairs.shape[1]  # halfway, some boundaries are left
         assert len(model.asked) == 2
@@ -180,7 +180,7 @@ class TestMethod:
     def test_is_the_consensus(self, segmenter, evidence):
         graph = segmenter.graph
         others = [jittered(graph, graph.scales, number) for number in range(1, COPIES)]
-        copies = [evidence, *(build_piece_graph(other, graph.scales, segmenter.state) for other in others)]
+        copies = [evidence, *(build_superpoint_graph(other, graph.scales, segmenter.state) for other in others)]
         hierarchy = build_consensus(copies, ByCrease(0.1, 0.2, 0.3))
         expected = hierarchy.transferred(segmenter.graph.of_given)[0].at()
         result = segmenter.compute()

@@ -11,9 +11,7 @@ from torchjoint.cloud.graph import build_point_graph
 from torchjoint.cloud.scales import measure_scales
 from torchjoint.scene import Cloud, Scene
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
-from torchjoint.segments.learned.images import image_agreement, segments_of_pieces
-from torchjoint.segments.learned.piece_graph import PieceGraph
-from torchjoint.segments.learned.pieces import build_piece_graph
+from torchjoint.segments.learned.images import image_agreement, segments_of_superpoints
 from torchjoint.segments.learned.region_statistics import (
     InnerEdges,
     Surface,
@@ -23,6 +21,8 @@ from torchjoint.segments.learned.region_statistics import (
     pooled,
     statistics_of_points,
 )
+from torchjoint.segments.learned.superpoint_graph import SuperpointGraph
+from torchjoint.segments.learned.superpoints import build_superpoint_graph
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
 
@@ -53,11 +53,11 @@ def corner(step=0.01, side=20):
     return torch.cat([floor, wall]), torch.cat([up, sideways])
 
 
-def evidence_of(points, normals=None, colors=None) -> PieceGraph:
+def evidence_of(points, normals=None, colors=None) -> SuperpointGraph:
     """Without images."""
     scales = measure_scales(points)
     graph = build_point_graph(Cloud(points, colors, normals), LEARNED.point_graph.neighbors, scales)
-    return build_piece_graph(graph, scales, Evidence.zeros(graph.edge_index.shape[1], len(points)))
+    return build_superpoint_graph(graph, scales, Evidence.zeros(graph.edge_index.shape[1], len(points)))
 
 
 class TestCorner:
@@ -65,7 +65,7 @@ class TestCorner:
         points, normals = corner()
         evidence = evidence_of(points, normals)
         half = len(points) // 2
-        assert evidence.piece.tolist() == [0] * half + [1] * half
+        assert evidence.superpoint.tolist() == [0] * half + [1] * half
         features = boundary_features(evidence)
         assert evidence.pairs.tolist() == [[0], [1]]
         assert features.shape == (1, len(FEATURE_NAMES))
@@ -148,39 +148,43 @@ class TestSummaries:
         assert torch.cat([union.color[1], union.color_variance[1], union.texture[1:]]).isnan().all()
 
     @pytest.mark.parametrize("missing", [0, 20])
-    def test_regions_of_pieces_are_regions_of_points(self, missing):
+    def test_regions_of_superpoints_are_regions_of_points(self, missing):
         generator = torch.Generator().manual_seed(0)
         points, normals, lab = (torch.randn(60, 3, generator=generator) for _ in range(3))
         lab[torch.randperm(60, generator=generator)[:missing]] = torch.nan
         noise, spacing, oriented = torch.rand(3, 60, generator=generator)
         surface = Surface(points + 100, normals, oriented > 0.3, noise, spacing, lab)
-        piece = torch.arange(60) % 12
-        of_piece = torch.arange(12) // 4
-        of_edge = piece.repeat(4)  # each piece has as many edges for a point
+        superpoint = torch.arange(60) % 12
+        of_superpoint = torch.arange(12) // 4
+        of_edge = superpoint.repeat(4)  # each superpoint has as many edges for a point
         turn, step = torch.rand(2, 240, generator=generator)
-        pieces = statistics_of_points(piece, surface, InnerEdges(of_edge, turn, step))
-        expected = statistics_of_points(of_piece[piece], surface, InnerEdges(of_piece[of_edge], turn, step))
-        for name, found, wanted in zip(pieces._fields, pooled(pieces, of_piece, 3), expected, strict=True):
+        superpoints = statistics_of_points(superpoint, surface, InnerEdges(of_edge, turn, step))
+        expected = statistics_of_points(
+            of_superpoint[superpoint], surface, InnerEdges(of_superpoint[of_edge], turn, step)
+        )
+        for name, found, wanted in zip(
+            superpoints._fields, pooled(superpoints, of_superpoint, 3), expected, strict=True
+        ):
             if missing and name == "texture":
                 continue  # of a union the mean of its parts by their points with a colour, not by their edges
             torch.testing.assert_close(found, wanted)
         union = covariance_of_unions(expected, torch.tensor([0]), torch.tensor([2]))
-        both = (points + 100)[of_piece[piece] != 1].double()
+        both = (points + 100)[of_superpoint[superpoint] != 1].double()
         torch.testing.assert_close(union[0], torch.cov(both.T, correction=0))
         torch.testing.assert_close(axes(union)[0, 2].square(), torch.linalg.eigvalsh(union[0])[-1])
-        outward = torch.where(surface.oriented[:, None], normals, 0.0)[of_piece[piece] != 1].double()
+        outward = torch.where(surface.oriented[:, None], normals, 0.0)[of_superpoint[superpoint] != 1].double()
         bulge = bulge_of_unions(expected, torch.tensor([0]), torch.tensor([2]))
         torch.testing.assert_close(bulge[0], ((both - both.mean(0)) * outward).sum(1).mean())
 
     def test_the_origin_does_not_matter(self):
         generator = torch.Generator().manual_seed(3)
         points, normals = torch.randn(2, 60, 3, generator=generator)
-        piece, of_piece, ones = torch.arange(60) % 12, torch.arange(12) // 4, torch.ones(60)
+        superpoint, of_superpoint, ones = torch.arange(60) % 12, torch.arange(12) // 4, torch.ones(60)
         inner = InnerEdges(torch.empty(0, dtype=torch.int64), torch.empty(0), None)
 
         def bulges(shift):
             surface = Surface(points.double() + torch.tensor(shift), normals, ones > 0, ones, ones, None)
-            regions = pooled(statistics_of_points(piece, surface, inner), of_piece, 3)
+            regions = pooled(statistics_of_points(superpoint, surface, inner), of_superpoint, 3)
             union = bulge_of_unions(regions, torch.tensor([0, 1]), torch.tensor([2, 2]))
             return torch.cat([regions.bulge, union])
 
@@ -204,38 +208,39 @@ class TestSummaries:
         assert found.texture is None
 
 
-#: Piece 0 has points 0-3, piece 1 has 4-9, piece 2 has 10-12.
-PIECES = torch.tensor([0] * 4 + [1] * 6 + [2] * 3)
+#: Superpoint 0 has points 0-3, superpoint 1 has 4-9, superpoint 2 has 10-12.
+SUPERPOINTS = torch.tensor([0] * 4 + [1] * 6 + [2] * 3)
 PAIRS = torch.tensor([[0, 0, 1], [1, 2, 2]])
 
 
 class TestImages:
-    def agreement(self, *observations, of_piece=(0, 1, 2), pairs=PAIRS):
-        images = segments_of_pieces(PIECES, observations)
-        columns = image_agreement(images.grouped(torch.tensor(of_piece)), max(of_piece) + 1, pairs)
+    def agreement(self, *observations, of_superpoint=(0, 1, 2), pairs=PAIRS):
+        images = segments_of_superpoints(SUPERPOINTS, observations)
+        columns = image_agreement(images.grouped(torch.tensor(of_superpoint)), max(of_superpoint) + 1, pairs)
         return torch.stack(list(columns.values()), 1)
 
     def test_by_hand(self, seen):
-        # Shares of piece 0: label 1: 1/2, label 2: 1/2. Piece 1: 2: 1/2, 3: 1/2. Piece 2: 3: 1.
+        # Shares of superpoint 0: label 1: 1/2, label 2: 1/2. Superpoint 1: 2: 1/2, 3: 1/2. Superpoint 2: 3: 1.
         first = seen(range(13), [1, 1, 2, 2] + [2] * 3 + [3] * 3 + [3] * 3)
-        second = seen(range(10), [0] * 10)  # piece 2 is hidden
+        second = seen(range(10), [0] * 10)  # superpoint 2 is hidden
         result = self.agreement(first, second)
         total = (0.5 * 24 + 1 * 24) / 48
-        # Best overlaps: piece 0 with label 1: 2 of 4, or with label 0: 4 of 10; piece 1: 6 of 10. Union: 10 of 10.
+        # Best overlaps: superpoint 0 with label 1: 2 of 4, or with label 0: 4 of 10; superpoint 1: 6 of 10. Union: 10
+        # of 10.
         assert result[0].tolist() == pytest.approx([total, 0.75, 0.25, math.log(3), 1 - 0.6, 0.6, 0.5, 0.5])
         assert result[1, :3].tolist() == [0, 0, 0]
-        # Piece 2 with label 3: 3 of 6; the union of 1 and 2: 6 of 9.
+        # Superpoint 2 with label 3: 3 of 6; the union of 1 and 2: 6 of 9.
         assert result[2].tolist() == pytest.approx([0.5, 0.5, 0, math.log(2), 2 / 3 - 0.6, 0.6, 0.5, 0])
 
-    def test_pieces_add_up(self, seen):
+    def test_superpoints_add_up(self, seen):
         view = seen(range(13), [1, 1, 2, 2] + [2] * 3 + [3] * 3 + [3] * 3)
-        merged = self.agreement(view, of_piece=(0, 1, 1), pairs=torch.tensor([[0], [1]]))
+        merged = self.agreement(view, of_superpoint=(0, 1, 1), pairs=torch.tensor([[0], [1]]))
         assert merged[0, 0].item() == pytest.approx(1 / 3)  # label 2 has 3 of 9 points of the merged region
 
     def test_two_points_are_too_few(self, seen):
         result = self.agreement(seen([0, 1, 4, 5, 6], [1] * 5))
         assert result[0, [0, 1, 2, 7]].isnan().all()
-        # Piece 1 alone has 3 of the segment's 5 points.
+        # Superpoint 1 alone has 3 of the segment's 5 points.
         assert result[0, 3:7].tolist() == pytest.approx([0, -3 / 5, 3 / 5, 0])
 
     def test_nothing_seen(self, seen):
@@ -249,13 +254,13 @@ def scene(scene_of):
     return scene_of(3).scene
 
 
-def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, PieceGraph, torch.Tensor]:
+def seen_by_learned(scene, order=None) -> tuple[tj.JointSegmenter, SuperpointGraph, torch.Tensor]:
     segmenter = tj.JointSegmenter(LEARNED)
     segmenter.reset(scene.points, scene.colors)
     segmenter.update([scene.frames[index] for index in order or range(len(scene.frames))])
     graph = segmenter.graph
     assert graph.scales is not None
-    evidence = build_piece_graph(graph, graph.scales, segmenter.state)
+    evidence = build_superpoint_graph(graph, graph.scales, segmenter.state)
     return segmenter, evidence, boundary_features(evidence)
 
 
@@ -274,14 +279,14 @@ class TestInvariance:
 
     def test_order_of_frames(self, scene, reference):
         _, evidence, features = seen_by_learned(scene, order=[4, 0, 5, 2, 1, 3])
-        assert torch.equal(evidence.piece, reference[1].piece)
+        assert torch.equal(evidence.superpoint, reference[1].superpoint)
         assert torch.equal(features.nan_to_num(-9), reference[2].nan_to_num(-9))
 
     def test_threads(self, scene, reference, set_threads):
         for threads in (1, 3):
             set_threads(threads)
             _, evidence, features = seen_by_learned(scene)
-            assert torch.equal(evidence.piece, reference[1].piece)
+            assert torch.equal(evidence.superpoint, reference[1].superpoint)
             assert torch.equal(features.nan_to_num(-9), reference[2].nan_to_num(-9))
 
     def test_units(self, scene, reference):
@@ -292,14 +297,14 @@ class TestInvariance:
             frames.append(dataclasses.replace(frame, world_to_camera=world_to_camera))
         larger = Scene(2 * scene.points, frames, colors=scene.colors)
         _, evidence, features = seen_by_learned(larger)
-        assert torch.equal(evidence.piece, reference[1].piece)
+        assert torch.equal(evidence.superpoint, reference[1].superpoint)
         torch.testing.assert_close(features, reference[2], rtol=1e-4, atol=1e-4, equal_nan=True)
 
     def test_without_observations_images_do_not_count(self, reference):
         segmenter, _, _ = reference
         graph = segmenter.graph
         unseen = dataclasses.replace(segmenter.state, observations=Observations())
-        evidence = build_piece_graph(graph, graph.scales, unseen)
+        evidence = build_superpoint_graph(graph, graph.scales, unseen)
         assert evidence.images is None
         assert missing(boundary_features(evidence)) == OF_IMAGES
 

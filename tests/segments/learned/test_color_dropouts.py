@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import torchjoint as tj
 from torchjoint.segments.learned.images import without_dropouts
-from torchjoint.segments.learned.pieces import build_piece_graph
+from torchjoint.segments.learned.superpoints import build_superpoint_graph
 
 
 def by_hand(colors, edges):
@@ -41,6 +41,6 @@ def test_black_points_of_a_room_have_no_colour(scene_of):
     segmenter.reset(scene.points, scene.colors.masked_fill(black[:, None], 0))
     segmenter.update(scene.frames)
     graph = segmenter.graph
-    statistics = build_piece_graph(graph, graph.scales, segmenter.state).statistics
+    statistics = build_superpoint_graph(graph, graph.scales, segmenter.state).statistics
     share = float(statistics.colored.sum() / statistics.size.sum())
     assert 0.89 < share < 0.92

@@ -22,8 +22,8 @@ from torchjoint.segments.learned.consensus import (
     segments_of_members,
     vote,
 )
-from torchjoint.segments.learned.pieces import build_piece_graph
 from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES
+from torchjoint.segments.learned.superpoints import build_superpoint_graph
 
 
 def tensors(*rows):
@@ -31,8 +31,8 @@ def tensors(*rows):
 
 
 def consensus_by_hand(segments, size):
-    """The groups of pieces by average linkage of the share of segmentations that have two points together."""
-    groups = [[piece] for piece in range(len(size))]
+    """The groups of superpoints by average linkage of the share of segmentations that have two points together."""
+    groups = [[superpoint] for superpoint in range(len(size))]
 
     def share(one, other):
         together = [sum(int(size[a] * size[b]) for a in one for b in other if of[a] == of[b]) for of in segments]
@@ -57,7 +57,7 @@ class TestVote:
         assert joined.tolist() == [[0, 0], [1, 2]]
         assert against.tolist() == pytest.approx([1 / 3, 1 / 2])
 
-    def test_points_count_not_pieces(self):
+    def test_points_count_not_superpoints(self):
         segments = tensors([0, 0, 1], [0, 0, 0], [0, 1, 1])
         joined, against = vote(segments, torch.arange(3), torch.tensor([4, 1, 1]))
         assert joined.tolist() == [[0], [1]]  # 2 is with 0 once of three times, and 0 has most of the points
@@ -70,7 +70,7 @@ class TestVote:
         touching = torch.tensor([[0, 1], [1, 2]])
         assert vote(segments, torch.arange(3), size, touching)[0].shape == (2, 0)
 
-    def test_regions_instead_of_pieces(self):
+    def test_regions_instead_of_superpoints(self):
         segments = tensors([0, 1, 1, 2], [0, 0, 0, 1])
         joined, against = vote(segments, torch.tensor([0, 1, 1, 2]), torch.ones(4, dtype=torch.int64))
         assert joined.tolist() == [[0], [1]]
@@ -78,15 +78,17 @@ class TestVote:
 
     @given(st.data())
     def test_is_average_linkage(self, data):
-        pieces = data.draw(st.integers(1, 7))
-        label = st.lists(st.integers(0, 3), min_size=pieces, max_size=pieces)
+        superpoints = data.draw(st.integers(1, 7))
+        label = st.lists(st.integers(0, 3), min_size=superpoints, max_size=superpoints)
         segments = [torch.unique(torch.tensor(data.draw(label)), return_inverse=True)[1] for _ in range(3)]
         # Powers of two that differ: no two shares are equal but by construction.
-        size = torch.tensor(data.draw(st.permutations([2**k for k in range(pieces)])))
-        joined, _ = vote(segments, torch.arange(pieces), size)
-        group = ops.connected_components(joined, pieces).tolist()
+        size = torch.tensor(data.draw(st.permutations([2**k for k in range(superpoints)])))
+        joined, _ = vote(segments, torch.arange(superpoints), size)
+        group = ops.connected_components(joined, superpoints).tolist()
         expected = consensus_by_hand(segments, size)
-        found = [[piece for piece in range(pieces) if group[piece] == of] for of in range(max(group) + 1)]
+        found = [
+            [superpoint for superpoint in range(superpoints) if group[superpoint] == of] for of in range(max(group) + 1)
+        ]
         assert sorted(found) == sorted(expected)
 
 
@@ -158,7 +160,7 @@ def segmenter():
 @pytest.fixture(scope="module")
 def evidence(segmenter):
     graph = segmenter.graph
-    return build_piece_graph(graph, graph.scales, segmenter.state)
+    return build_superpoint_graph(graph, graph.scales, segmenter.state)
 
 
 class Silent(Ensemble):
@@ -181,7 +183,7 @@ class TestConsensus:
         for member, members in ((1, [1]), (6, [1]), (14, [0, 1, 2, 3])):
             alone = build_hierarchy(evidence, BoundaryModel(tuple(model.members[member] for member in members)))
             for level, of_members in zip(levels, segments, strict=True):
-                assert torch.equal(of_members[member], alone.segments_of_pieces(level))
+                assert torch.equal(of_members[member], alone.segments_of_superpoints(level))
 
     def test_each_copy_has_its_share_of_the_members(self, evidence, silent):
         model = load_boundary_model()
@@ -201,16 +203,16 @@ class TestConsensus:
             assert all(map(torch.equal, one, other))
             assert len(one) == len(other) == 15
 
-    def test_a_piece_is_where_most_of_its_points_are(self, evidence, segmenter, silent):
+    def test_a_superpoint_is_where_most_of_its_points_are(self, evidence, segmenter, silent):
         graph, model = segmenter.graph, load_boundary_model()
-        other = build_piece_graph(jittered(graph, graph.scales, 1), graph.scales, segmenter.state)
-        assert not torch.equal(other.piece, evidence.piece)
+        other = build_superpoint_graph(jittered(graph, graph.scales, 1), graph.scales, segmenter.state)
+        assert not torch.equal(other.superpoint, evidence.superpoint)
         _, _, segments = segments_of_members([evidence, other], model)
         _, _, own = segments_of_members([other], model)
-        of_point = own[0][1][other.piece]  # member 1 after the first step
-        for piece in range(len(evidence.statistics.size)):
-            most = Counter(sorted(of_point[evidence.piece == piece].tolist())).most_common(1)
-            assert int(segments[0][8][piece]) == most[0][0]  # of equally many the lowest comes first
+        of_point = own[0][1][other.superpoint]  # member 1 after the first step
+        for superpoint in range(len(evidence.statistics.size)):
+            most = Counter(sorted(of_point[evidence.superpoint == superpoint].tolist())).most_common(1)
+            assert int(segments[0][8][superpoint]) == most[0][0]  # of equally many the lowest comes first
         for level in range(1, len(own)):
             after = torch.full((int(own[0][1].max()) + 1,), -1)
             after[own[0][1]] = own[level][1]
@@ -220,11 +222,11 @@ class TestConsensus:
     def test_a_level_has_together_what_most_trees_have(self, evidence, height):
         model = load_boundary_model()
         _, levels, segments = segments_of_members([evidence], model)
-        of_piece = build_consensus([evidence], model).segments_of_pieces(height)
+        of_superpoint = build_consensus([evidence], model).segments_of_superpoints(height)
         a, b = evidence.pairs
         trees = torch.stack(segments[levels.index(height)])
         share = (trees[:, a] == trees[:, b]).double().mean(0)
-        together = of_piece[a] == of_piece[b]
+        together = of_superpoint[a] == of_superpoint[b]
         assert together[share == 1].all()
         assert share[together].mean() > 0.95
         assert share[~together].mean() < 0.5
@@ -232,9 +234,9 @@ class TestConsensus:
     def test_the_default_level_has_no_small_regions(self, evidence):
         hierarchy = build_consensus([evidence], load_boundary_model())
         assert hierarchy.default == WITH_IMAGES
-        of_piece = hierarchy.segments_of_pieces(WITH_IMAGES)
-        size = torch.bincount(of_piece[hierarchy.piece])
-        a, b = of_piece[evidence.pairs]
+        of_superpoint = hierarchy.segments_of_superpoints(WITH_IMAGES)
+        size = torch.bincount(of_superpoint[hierarchy.superpoint])
+        a, b = of_superpoint[evidence.pairs]
         has_neighbour = torch.zeros(len(size), dtype=torch.bool)
         has_neighbour[torch.cat([a[a != b], b[a != b]])] = True
         assert size[has_neighbour].min() >= MIN_SIZE_IN_IMAGES
@@ -243,13 +245,13 @@ class TestConsensus:
 
     def test_small_regions_are_larger_without_images(self, evidence):
         hierarchy = build_consensus([replace(evidence, images=None, occlusions=None)], load_boundary_model())
-        of_piece = hierarchy.segments_of_pieces(hierarchy.default)
-        touches = of_piece[evidence.pairs[:, of_piece[evidence.pairs[0]] != of_piece[evidence.pairs[1]]]]
-        assert torch.bincount(of_piece[hierarchy.piece])[touches.unique()].min() >= MIN_SIZE
+        of_superpoint = hierarchy.segments_of_superpoints(hierarchy.default)
+        touches = of_superpoint[evidence.pairs[:, of_superpoint[evidence.pairs[0]] != of_superpoint[evidence.pairs[1]]]]
+        assert torch.bincount(of_superpoint[hierarchy.superpoint])[touches.unique()].min() >= MIN_SIZE
 
-    def test_levels_are_nested_and_end_in_pieces(self, evidence):
+    def test_levels_are_nested_and_end_in_superpoints(self, evidence):
         hierarchy = build_consensus([evidence], load_boundary_model())
-        assert torch.equal(hierarchy.at(1), evidence.piece)
+        assert torch.equal(hierarchy.at(1), evidence.superpoint)
         counts = [int(hierarchy.at(granularity).max()) + 1 for granularity in (0, 0.3, 0.5, 0.7, 0.9, 1)]
         assert counts == sorted(counts)
         assert len(set(counts)) > 4

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import torchjoint as tj
 from torchjoint.scene.frame import PoseWarning
 from torchjoint.segments.learned.images import image_colors
-from torchjoint.segments.learned.pieces import build_piece_graph
+from torchjoint.segments.learned.superpoints import build_superpoint_graph
 from torchjoint.views.observations import Observation, Observations
 from torchjoint.views.visibility import Visible
 
@@ -94,10 +94,10 @@ def test_a_cloud_without_colors_has_those_of_the_images(monkeypatch):
         asked.append(len(observations))
         return image_colors(num_points, observations)
 
-    monkeypatch.setattr("torchjoint.segments.learned.pieces.image_colors", spy)
+    monkeypatch.setattr("torchjoint.segments.learned.superpoints.image_colors", spy)
     filled = tj.JointSegmenter()(scene)
     assert asked == [len(scene.frames)]  # all draws have the same colours
-    monkeypatch.setattr("torchjoint.segments.learned.pieces.image_colors", lambda num_points, observations: None)
+    monkeypatch.setattr("torchjoint.segments.learned.superpoints.image_colors", lambda num_points, observations: None)
     assert not torch.equal(filled.points, tj.JointSegmenter()(scene).points)
 
 
@@ -108,15 +108,15 @@ def test_what_no_image_sees_has_no_colors():
     segmenter.reset(scene.points)
     segmenter.update(scene.frames[0])
     graph, state = segmenter.graph, segmenter.state
-    evidence = build_piece_graph(graph, graph.scales, state)
+    evidence = build_superpoint_graph(graph, graph.scales, state)
     is_seen = image_colors(graph.num_points, state.observations)[:, 0].isfinite()
     assert 0.1 < float(is_seen.float().mean()) < 0.9
     first, second = graph.edge_index
-    across = evidence.piece[first] != evidence.piece[second]
+    across = evidence.superpoint[first] != evidence.superpoint[second]
     both = (is_seen[first] & is_seen[second])[across]
     of_steps = evidence.boundaries.binned["color_step"][:, 0]
     assert of_steps.sum() == both.sum() < across.sum()
-    colored = torch.zeros(len(evidence.statistics.size)).index_add_(0, evidence.piece, is_seen.float())
+    colored = torch.zeros(len(evidence.statistics.size)).index_add_(0, evidence.superpoint, is_seen.float())
     assert torch.equal(evidence.statistics.colored.float(), colored)
     assert torch.equal(evidence.statistics.color[:, 0].isfinite(), colored > 0)
     assert torch.equal(evidence.statistics.texture.isfinite(), colored > 0)
@@ -127,7 +127,7 @@ def test_given_colors_stay(monkeypatch):
     def fail(num_points, observations):
         raise AssertionError("not asked for")
 
-    monkeypatch.setattr("torchjoint.segments.learned.pieces.image_colors", fail)
+    monkeypatch.setattr("torchjoint.segments.learned.superpoints.image_colors", fail)
     scene = scene_of(colors=True)
     segmenter = tj.JointSegmenter()
     segmenter(scene)

@@ -13,7 +13,7 @@ import torchjoint as tj
 from torchjoint.scene import Hierarchy, Masks
 from torchjoint.segments.learned import masks as mask_majority
 from torchjoint.segments.learned.masks import MaskLinkage, move_to_majority
-from torchjoint.segments.learned.piece_graph import MaskCounts, masks_of_pieces
+from torchjoint.segments.learned.superpoint_graph import MaskCounts, masks_of_superpoints
 from torchjoint.views.observations import Observation
 
 
@@ -21,12 +21,13 @@ def with_masks(seen: Observation, masks: Masks) -> Observation:
     return replace(seen, labels=masks.atom, masks=masks)
 
 
-def test_points_of_pieces_in_masks(seen) -> None:
-    # Points 0, 1, 2 of pieces 0, 0, 1 in three pixels: the first mask has pixels 0 and 1, the second, nested, pixel 1.
+def test_points_of_superpoints_in_masks(seen) -> None:
+    # Points 0, 1, 2 of superpoints 0, 0, 1 in three pixels: the first mask has pixels 0 and 1, the second, nested,
+    # pixel 1.
     stack = torch.tensor([[[True, True, False]], [[False, True, False]]])
     one = with_masks(seen([0, 1, 2], [0, 0, 0]), Masks.from_stack(stack, torch.tensor([1.0, 0.5])))
     plain = seen([0, 1, 2], [0, 0, 0])
-    evidence = masks_of_pieces(torch.tensor([0, 0, 1]), [plain, one, one])
+    evidence = masks_of_superpoints(torch.tensor([0, 0, 1]), [plain, one, one])
     assert evidence is not None
     assert evidence.weight.tolist() == [256, 128, 256, 128]
     assert evidence.frame_of_mask.tolist() == [1, 1, 2, 2]  # the first frame has no masks
@@ -36,7 +37,7 @@ def test_points_of_pieces_in_masks(seen) -> None:
     in_mask, in_frame = evidence.of_regions(torch.tensor([0, 0]))
     assert in_mask.t().tolist() == rows
     assert in_frame.t().tolist() == [[0, 1, 3], [0, 2, 3]]
-    assert masks_of_pieces(torch.tensor([0, 0, 1]), [plain]) is None
+    assert masks_of_superpoints(torch.tensor([0, 0, 1]), [plain]) is None
 
 
 SIZE = (60, 80)
@@ -100,8 +101,8 @@ def test_parts_that_do_not_touch_join_in_one_mask() -> None:
 
 @pytest.mark.slow
 def test_only_small_regions_in_masks_join_their_neighbour() -> None:
-    # Pieces: a wall, and three crumbs beside it, which one frame sees. A mask has the wall, the whole first crumb and
-    # 4 of 10 points of the second; another mask has nearly only the third.
+    # Superpoints: a wall, and three crumbs beside it, which one frame sees. A mask has the wall, the whole first crumb
+    # and 4 of 10 points of the second; another mask has nearly only the third.
     size = torch.tensor([1000, 10, 10, 10])
     in_mask = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 1], [500, 10, 4, 9]])
     in_frame = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 0], [500, 10, 10, 10]])
@@ -162,15 +163,15 @@ CHAIN = torch.stack([torch.arange(5), torch.arange(1, 6)])
 HALVES = torch.tensor([[[True, True, True, False, False, False]], [[False, False, False, True, True, True]]])
 
 
-def moved(seen, piece: list[int], stacks: list[Tensor], edges: Tensor = CHAIN) -> list[int]:
-    """Six points in a chain, each in a pixel of its own; the pieces are the segments."""
-    number = torch.tensor(piece)
+def moved(seen, superpoint: list[int], stacks: list[Tensor], edges: Tensor = CHAIN) -> list[int]:
+    """Six points in a chain, each in a pixel of its own; the superpoints are the segments."""
+    number = torch.tensor(superpoint)
     hierarchy = Hierarchy(number, torch.empty(0, 2, dtype=torch.int64), torch.empty(0, dtype=torch.float64))
     frames = [with_masks(seen(range(6), range(6)), Masks.from_stack(stack)) for stack in stacks]
     frames.insert(1, seen(range(6), range(6)))  # without masks: does not count
-    masks = masks_of_pieces(number, frames)
+    masks = masks_of_superpoints(number, frames)
     assert masks is not None
-    return move_to_majority(hierarchy, edges, masks, frames).piece.tolist()
+    return move_to_majority(hierarchy, edges, masks, frames).superpoint.tolist()
 
 
 def test_a_point_moves_to_where_most_frames_see_it(seen) -> None:
@@ -183,14 +184,14 @@ def test_a_point_moves_to_where_most_frames_see_it(seen) -> None:
     assert moved(seen, [0, 0, 0, 0, 1, 1], [smaller]) == [0, 0, 0, 1, 1, 1]  # nested masks stand for one region
 
 
-def test_a_point_moves_only_to_a_neighbour_and_no_piece_is_lost(seen) -> None:
+def test_a_point_moves_only_to_a_neighbour_and_no_superpoint_is_lost(seen) -> None:
     apart = torch.tensor([[0, 1, 2, 4], [1, 2, 3, 5]])
     assert moved(seen, [0, 0, 0, 0, 1, 1], [HALVES], apart) == [0, 0, 0, 0, 1, 1]
     assert moved(seen, [0, 0, 0, 1, 2, 2], [HALVES]) == [0, 0, 0, 1, 2, 2]
 
 
-def test_a_piece_that_only_a_lost_one_would_fill_is_not_lost(seen, monkeypatch) -> None:
-    # Point 2, all of piece 1, would go to piece 2, and point 3, all of piece 2, to piece 3.
+def test_a_superpoint_that_only_a_lost_one_would_fill_is_not_lost(seen, monkeypatch) -> None:
+    # Point 2, all of superpoint 1, would go to superpoint 2, and point 3, all of superpoint 2, to superpoint 3.
     wanted = torch.tensor([-1, -1, 2, 3, -1, -1])
     monkeypatch.setattr(mask_majority, "_wanted_regions", lambda *_: wanted)
     assert moved(seen, [0, 0, 1, 2, 3, 3], [HALVES]) == [0, 0, 1, 2, 3, 3]

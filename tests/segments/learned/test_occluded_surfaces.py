@@ -116,9 +116,9 @@ def statistics(colors, spread=3.0):
     )
 
 
-def test_lines_of_pieces_add_up():
+def test_lines_of_superpoints_add_up():
     grey, red = [50.0, 0, 0], [50.0, 60, 0]
-    of_piece = torch.tensor([0, 0, 1, 1, 2, 3])
+    of_superpoint = torch.tensor([0, 0, 1, 1, 2, 3])
     occlusions = Occlusions(
         pairs=torch.tensor([[0, 1, 0, 0, 4], [2, 3, 4, 5, 5]]),
         num_lines=torch.tensor([3, 2, 9, 9, 3]),
@@ -126,25 +126,28 @@ def test_lines_of_pieces_add_up():
         between=torch.tensor([[-1, -1, -1, 3, -1]] * 3),
     )
     same, none = statistics([grey] * 4), torch.empty(2, 0, dtype=torch.int64)
-    pairs, against = continued_surfaces(occlusions.grouped(of_piece), same, none)
+    pairs, against = continued_surfaces(occlusions.grouped(of_superpoint), same, none)
     assert pairs.tolist() == [[0], [2]]  # 0 and 1 have 3 votes, 0 and 3 have a third one between, 2 and 3 have 3 lines
     assert against.tolist() == [0]
     more = occlusions._replace(num_lines=torch.tensor([6, 2, 9, 9, 4]))
-    pairs, against = continued_surfaces(more.grouped(of_piece), same, none)
+    pairs, against = continued_surfaces(more.grouped(of_superpoint), same, none)
     assert pairs.tolist() == [[0, 0, 2], [1, 2, 3]]
     assert against.tolist() == [0.25, 0, 0]
     touching = torch.tensor([[0], [1]])
-    assert continued_surfaces(more.grouped(of_piece), same, touching)[0].tolist() == [[0, 2], [2, 3]]
+    assert continued_surfaces(more.grouped(of_superpoint), same, touching)[0].tolist() == [[0, 2], [2, 3]]
     fewer = occlusions._replace(num_lines=torch.tensor([4, 5, 9, 9, 3]))
-    assert continued_surfaces(fewer.grouped(of_piece), same, none)[0].tolist() == [[0], [2]]  # 4 of 9 lines
+    assert continued_surfaces(fewer.grouped(of_superpoint), same, none)[0].tolist() == [[0], [2]]  # 4 of 9 lines
     beside = occlusions._replace(between=torch.tensor([[-1, -1, 1, 3, -1]] * 3))
-    assert continued_surfaces(beside.grouped(of_piece), same, none)[0].tolist() == [
+    assert continued_surfaces(beside.grouped(of_superpoint), same, none)[0].tolist() == [
         [0],
         [2],
     ]  # what is between is one of both
     other = statistics([grey] * 2 + [red] * 2)
-    assert continued_surfaces(occlusions.grouped(of_piece), other, none)[0].tolist() == [[], []]
-    assert continued_surfaces(occlusions.grouped(of_piece), same._replace(color=None), none)[0].tolist() == [[], []]
+    assert continued_surfaces(occlusions.grouped(of_superpoint), other, none)[0].tolist() == [[], []]
+    assert continued_surfaces(occlusions.grouped(of_superpoint), same._replace(color=None), none)[0].tolist() == [
+        [],
+        [],
+    ]
 
 
 def places_seen_through(seen, places, step=0.0):

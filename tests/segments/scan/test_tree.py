@@ -22,11 +22,13 @@ BOXES = (
 
 
 def tree_of(parent: list[int], level: list[int]) -> Tree:
-    """A tree whose every piece is one point."""
+    """A tree whose every superpoint is one point."""
     above = torch.tensor(parent)
-    pieces = torch.arange(level.count(0))
-    inner = torch.arange(len(pieces), len(parent))
-    return Tree(pieces, pieces, above, torch.tensor(level), inner, torch.zeros(len(inner), len(FEATURE_NAMES)))
+    superpoints = torch.arange(level.count(0))
+    inner = torch.arange(len(superpoints), len(parent))
+    return Tree(
+        superpoints, superpoints, above, torch.tensor(level), inner, torch.zeros(len(inner), len(FEATURE_NAMES))
+    )
 
 
 def test_a_tree_by_hand():
@@ -37,7 +39,7 @@ def test_a_tree_by_hand():
     gaps = Gaps.of(points, torch.ones(6).double(), torch.arange(6))
     height = torch.tensor([0.5, 1.0, 0.5, 0.5, 2.0, 0.0]).double()
     tree = grow_tree(gaps, everything, points, height, 0)
-    assert tree.piece.tolist() == list(range(6))
+    assert tree.superpoint.tolist() == list(range(6))
     assert tree.parent.tolist() == [6, 6, 6, 7, 7, -1, 8, 8, -1]
     # LEVELS: .3, .37, .45, .55, .67, .82, 1.0, 1.23, 1.5
     assert tree.level.tolist() == [0] * 6 + [1, 3, 7]
@@ -79,7 +81,7 @@ def test_the_best_of_all_cuts():
 
 def test_levels_by_hand():
     tree = tree_of([4, 4, 5, 5, 6, 6, -1], [0] * 4 + [1, 2, 3])
-    # Point 0 is ground, the others are the pieces.
+    # Point 0 is ground, the others are the superpoints.
     moved = tree._replace(which=torch.arange(1, 5))
     levels = levels_of(moved, torch.tensor([False] * 4 + [True, False, True]), 5)
     assert levels.at().tolist() == [0, 1, 2, 3, 3]  # 4 falls apart, 5 does not

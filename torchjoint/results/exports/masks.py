@@ -128,31 +128,38 @@ def export_scannet(folder: Path, result: Result) -> None:
     name = scene_name(result)
     (folder / "predicted_masks").mkdir(parents=True)
     lines = []
-    for segment, score in enumerate(_scores(result).tolist()):
+    scores = _scores(result).tolist()
+    for segment in _segments(result).tolist():
         file = f"predicted_masks/{name}_{segment:03d}.txt"
         digits = (result.points == segment).numpy().astype(np.uint8) + ord("0")
         (folder / file).write_bytes(np.stack([digits, np.full_like(digits, ord("\n"))], 1).tobytes())
-        lines.append(f"{file} {LABEL} {score:.4f}\n")
+        lines.append(f"{file} {LABEL} {scores[segment]:.4f}\n")
     (folder / f"{name}.txt").write_text("".join(lines), encoding="utf-8")
 
 
 @on_cpu()
 def export_masks(path: Path, result: Result) -> None:
     """Writes an archive with the arrays pred_masks [N, S] bool, pred_score [S] and pred_classes [S]."""
-    count = result.num_point_segments
-    masks = (result.points[:, None] == torch.arange(count)).numpy()
+    segments = _segments(result)
+    masks = (result.points[:, None] == segments).numpy()
     with atomic_write(path) as partial, partial.open("wb") as stream:  # NumPy would add .npz to a path
         np.savez_compressed(
             stream,
             pred_masks=masks,
-            pred_score=_scores(result).numpy(),
-            pred_classes=np.full(count, LABEL, dtype=np.int32),
+            pred_score=_scores(result)[segments].numpy(),
+            pred_classes=np.full(len(segments), LABEL, dtype=np.int32),
         )
 
 
 def scene_name(result: Result) -> str:
     """The scene's name as a word, for names of files."""
     return file_name("_".join(result.scene.name.split()) or "scene")
+
+
+def _segments(result: Result) -> Tensor:
+    """The ids [S] that have points, ascending: after corrections, some may have none."""
+    ids: Tensor = result.points[result.points >= 0].unique()
+    return ids
 
 
 def _scores(result: Result) -> Tensor:
@@ -171,6 +178,6 @@ def export_openmask3d(folder: Path, result: Result) -> None:
         raise ValueError("--format openmask3d: expected saved embeddings, got none; result.embed(...).save(RESULT)")
     folder.mkdir(parents=True)
     name = scene_name(result)
-    masks = result.points[:, None] == torch.arange(result.num_point_segments)
-    torch.save(masks, folder / f"{name}_masks.pt")
-    np.save(folder / f"{name}_openmask3d_features.npy", result.embeddings.vectors.numpy())
+    segments = _segments(result)
+    torch.save(result.points[:, None] == segments, folder / f"{name}_masks.pt")
+    np.save(folder / f"{name}_openmask3d_features.npy", result.embeddings.vectors[segments].numpy())

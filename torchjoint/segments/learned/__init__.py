@@ -1,1 +1,1 @@
-"""Step 6, method learned: pieces of the cloud, merged by a trained model of boundaries."""
+"""Step 6, method learned: superpoints of the cloud, merged by a trained model of boundaries."""

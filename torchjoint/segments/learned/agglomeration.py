@@ -19,8 +19,8 @@ from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.masks import MaskLinkage
 from torchjoint.segments.learned.occluded_surfaces import continued_surfaces
-from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.small_regions import merges_by_contact
+from torchjoint.segments.learned.superpoint_graph import SuperpointGraph
 
 #: Height of the default level of a cloud alone, with images, and with masks, if the model has no higher threshold.
 #: Probabilities are too sure of borders on kinds of data that no training saw: at .5, where regions merge that more
@@ -34,7 +34,7 @@ HEIGHT_STEP = 2.0**-20
 
 
 #: Says how probable it is that two regions belong to different objects, [B] float64: of the number of the round, the
-#: features of the boundaries [B, F], and a piece of one of the two regions of each boundary, [B] int64.
+#: features of the boundaries [B, F], and a superpoint of one of the two regions of each boundary, [B] int64.
 Judge = Callable[[int, Tensor, Tensor], Tensor]
 #: The number of a round of the model, and the threshold up to which regions merge.
 Step = tuple[int, float]
@@ -74,46 +74,46 @@ class Regions:
     """The regions of a step of the merging.
 
     Attributes:
-        graph: the regions as pieces.
-        of_piece: [P] int64, region of each piece, 0 ... R - 1, numbered by their first pieces.
+        graph: the regions as superpoints.
+        of_superpoint: [P] int64, region of each superpoint, 0 ... R - 1, numbered by their first superpoints.
     """
 
-    graph: PieceGraph
-    of_piece: Tensor
+    graph: SuperpointGraph
+    of_superpoint: Tensor
 
     @classmethod
-    def of_pieces(cls, pieces: PieceGraph) -> Regions:
-        """Each piece is a region."""
-        return cls(pieces, torch.arange(len(pieces)))
+    def of_superpoints(cls, superpoints: SuperpointGraph) -> Regions:
+        """Each superpoint is a region."""
+        return cls(superpoints, torch.arange(len(superpoints)))
 
     def merged(self, pairs: Tensor) -> Regions:
         """The regions after merging pairs [2, M]."""
         group = ops.connected_components(pairs, len(self.graph))
-        return Regions(self.graph.grouped(group), group[self.of_piece]) if pairs.shape[1] else self
+        return Regions(self.graph.grouped(group), group[self.of_superpoint]) if pairs.shape[1] else self
 
 
-def build_hierarchy(pieces: PieceGraph, model: Model) -> Hierarchy:
-    """Merges pieces in the model's steps, and then further, until all regions that touch have merged.
+def build_hierarchy(superpoints: SuperpointGraph, model: Model) -> Hierarchy:
+    """Merges superpoints in the model's steps, and then further, until all regions that touch have merged.
 
     The default level of the hierarchy is the state after the model's last step. A cut at the threshold of a step gives
     the state after this step.
 
     Args:
-        pieces: the pieces and what is known about their boundaries.
+        superpoints: the superpoints and what is known about their boundaries.
         model: gives the probability that two regions belong to different objects.
     """
     steps = merging_steps(model.thresholds)
-    return merge_pieces(pieces, steps, lambda number, values, _: model.probability(number, values))
+    return merge_superpoints(superpoints, steps, lambda number, values, _: model.probability(number, values))
 
 
-def merge_pieces(pieces: PieceGraph, steps: Sequence[Step], judge: Judge) -> Hierarchy:
+def merge_superpoints(superpoints: SuperpointGraph, steps: Sequence[Step], judge: Judge) -> Hierarchy:
     """As :func:`build_hierarchy`, with any probabilities, and with these of the steps of :func:`merging_steps`."""
-    merges, regions = Merges(len(pieces)), Regions.of_pieces(pieces)
+    merges, regions = Merges(len(superpoints)), Regions.of_superpoints(superpoints)
     last, highest = steps[-1]
-    default, *coarser = last_levels([highest], pieces)
+    default, *coarser = last_levels([highest], superpoints)
     above = [(last, threshold) for threshold in coarser]
     between = [(last, default)] if default > highest else []
-    linkage = MaskLinkage.of(pieces.masks, pieces.statistics.size)
+    linkage = MaskLinkage.of(superpoints.masks, superpoints.statistics.size)
     if linkage is None:
         regions = _merge_in_steps(regions, judge, steps, _by_probability, merges)
         if regions.graph.occlusions is not None:
@@ -121,35 +121,37 @@ def merge_pieces(pieces: PieceGraph, steps: Sequence[Step], judge: Judge) -> Hie
             pairs, against = continued_surfaces(regions.graph.occlusions, graph.statistics, graph.pairs)
             joined, height = ops.region_dendrogram(pairs, against, len(graph), highest)
             # At the height of the threshold, so all finer levels keep the regions apart.
-            merges.add(regions.of_piece, joined, torch.full_like(height, highest), highest)
+            merges.add(regions.of_superpoint, joined, torch.full_like(height, highest), highest)
             regions = regions.merged(joined)
         _merge_in_steps(regions, judge, [*between, *above], _by_probability, merges)
-        return merges.hierarchy(pieces.piece, default)
+        return merges.hierarchy(superpoints.superpoint, default)
     # a first merging, which shows how far the masks contradict each other
-    linkage = linkage.calibrated(_merge_in_steps(regions, judge, steps, linkage.merges, Merges(len(pieces))).of_piece)
+    linkage = linkage.calibrated(
+        _merge_in_steps(regions, judge, steps, linkage.merges, Merges(len(superpoints))).of_superpoint
+    )
     regions = _merge_in_steps(regions, judge, steps, linkage.merges, merges)
     regions = _merge_step(regions, judge, steps[-1], linkage.merges_far, merges)
     regions = _merge_in_steps(regions, judge, [steps[-1]], linkage.merges_of_small, merges)
     regions = _merge_in_steps(regions, judge, between, replace(linkage, keeps_outlines=True).merges, merges)
     graph = regions.graph
-    size, stays = graph.statistics.size, linkage.confirmed(regions.of_piece)
+    size, stays = graph.statistics.size, linkage.confirmed(regions.of_superpoint)
     joined = merges_by_contact(graph.pairs, graph.boundaries.num_edges, size, stays)
-    merges.add(regions.of_piece, joined, torch.full((joined.shape[1],), default, dtype=torch.float64), default)
+    merges.add(regions.of_superpoint, joined, torch.full((joined.shape[1],), default, dtype=torch.float64), default)
     _merge_in_steps(regions.merged(joined), judge, above, linkage.merges, merges)
-    return merges.hierarchy(pieces.piece, default)
+    return merges.hierarchy(superpoints.superpoint, default)
 
 
-def last_levels(thresholds: Sequence[float], pieces: PieceGraph) -> list[float]:
+def last_levels(thresholds: Sequence[float], superpoints: SuperpointGraph) -> list[float]:
     """Height of the default level of a model with these thresholds, and of the coarser ones."""
-    height = WITH_MASKS if pieces.masks is not None else ALONE if pieces.images is None else WITH_IMAGES
+    height = WITH_MASKS if superpoints.masks is not None else ALONE if superpoints.images is None else WITH_IMAGES
     default = max(*thresholds, height)
     return [default, *(threshold for threshold in COARSER if threshold > default)]
 
 
 def _by_probability(
-    of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
+    of_superpoint: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
 ) -> tuple[Tensor, Tensor]:
-    return ops.region_dendrogram(ends, cost, int(of_piece.max()) + 1, threshold, count)
+    return ops.region_dendrogram(ends, cost, int(of_superpoint.max()) + 1, threshold, count)
 
 
 def _merge_in_steps(regions: Regions, judge: Judge, steps: Sequence[Step], link: Link, merges: Merges) -> Regions:
@@ -162,44 +164,45 @@ def _merge_in_steps(regions: Regions, judge: Judge, steps: Sequence[Step], link:
 
 
 def _merge_step(regions: Regions, judge: Judge, step: Step, link: Link, merges: Merges) -> Regions:
-    (number, threshold), graph, of_piece = step, regions.graph, regions.of_piece
-    cost = judge(number, boundary_features(graph), first_places(of_piece)[graph.pairs[0]]).float()
-    joined, height = link(of_piece, graph.pairs, cost, graph.boundaries.num_edges, threshold)
-    merges.add(of_piece, joined, height, threshold)
+    (number, threshold), graph, of_superpoint = step, regions.graph, regions.of_superpoint
+    cost = judge(number, boundary_features(graph), first_places(of_superpoint)[graph.pairs[0]]).float()
+    joined, height = link(of_superpoint, graph.pairs, cost, graph.boundaries.num_edges, threshold)
+    merges.add(of_superpoint, joined, height, threshold)
     return regions.merged(joined)
 
 
 class Merges:
     """The merges of all rounds. A merge is never lower than the merges inside it."""
 
-    def __init__(self, num_pieces: int) -> None:
+    def __init__(self, num_superpoints: int) -> None:
         self._pairs: list[Tensor] = []
         self._heights: list[float] = []
-        self._top = [0.0] * num_pieces  # at the lowest piece of each region: the height of its last merge
+        self._top = [0.0] * num_superpoints  # at the lowest superpoint of each region: the height of its last merge
         self._below = self._ceiling = 0.0  # heights of this round: above `below`, at most `ceiling`
 
-    def add(self, of_piece: Tensor, joined: Tensor, mean: Tensor, threshold: float) -> None:
+    def add(self, of_superpoint: Tensor, joined: Tensor, mean: Tensor, threshold: float) -> None:
         """Adds a round's merges.
 
         A later round may find a boundary weaker than an earlier round did. Still, its heights are above all earlier
         thresholds, so that a cut at a threshold undoes whole rounds.
 
         Args:
-            of_piece: [P] int64, region of each piece before the round; regions are numbered by their first pieces.
+            of_superpoint: [P] int64, region of each superpoint before the round; regions are numbered by their first
+                superpoints.
             joined: [2, M] int64, the lowest region of each of the two groups that merge, in the order of the merges.
             mean: [M] float64, mean probability of their boundary.
             threshold: threshold of this round.
         """
         if threshold > self._ceiling:
             self._below, self._ceiling = self._ceiling, threshold
-        pieces = first_places(of_piece)[joined]
-        self._pairs.append(pieces.t())
+        superpoints = first_places(of_superpoint)[joined]
+        self._pairs.append(superpoints.t())
         heights = mean.clamp(min=self._below + HEIGHT_STEP).clamp(max=self._ceiling)
-        for a, b, height in zip(*pieces.tolist(), heights.tolist(), strict=True):
+        for a, b, height in zip(*superpoints.tolist(), heights.tolist(), strict=True):
             self._top[a] = max(height, self._top[a], self._top[b])
             self._heights.append(self._top[a])
 
-    def hierarchy(self, piece: Tensor, default: float) -> Hierarchy:
-        """The hierarchy of all merges; `piece` [N] int64 is the piece of each point."""
+    def hierarchy(self, superpoint: Tensor, default: float) -> Hierarchy:
+        """The hierarchy of all merges; `superpoint` [N] int64 is the superpoint of each point."""
         merges = torch.cat([torch.empty(0, 2, dtype=torch.int64), *self._pairs])
-        return Hierarchy(piece, merges, torch.tensor(self._heights, dtype=torch.float64), default)
+        return Hierarchy(superpoint, merges, torch.tensor(self._heights, dtype=torch.float64), default)

@@ -1,4 +1,4 @@
-"""Step 6, method learned: what is known about the edges between two pieces, as sums that add up when pieces merge."""
+"""Step 6, method learned: what is known of the edges between two superpoints, as sums that add up when they merge."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MANY_BOUNDARIES = 200_000
 
 
 class Boundaries(NamedTuple):
-    """The Q boundaries between pieces. All numbers are sums over their edges."""
+    """The Q boundaries between superpoints. All numbers are sums over their edges."""
 
     num_edges: Tensor  #: [Q] int64
     averaged: Tensor  #: [Q, A] float64, sums of AVERAGED

@@ -13,7 +13,6 @@ from torch.nn.functional import normalize
 
 from torchjoint.cloud.normals import dot, length
 from torchjoint.segments.learned.images import image_agreement
-from torchjoint.segments.learned.piece_graph import PieceGraph
 from torchjoint.segments.learned.region_statistics import (
     RegionStatistics,
     axes,
@@ -22,6 +21,7 @@ from torchjoint.segments.learned.region_statistics import (
     covariance_of_unions,
     sum_by,
 )
+from torchjoint.segments.learned.superpoint_graph import SuperpointGraph
 
 #: Smallest divisor, because regions of one point or of points in a line or plane have widths of 0.
 TINY = 1e-30
@@ -115,16 +115,16 @@ class _Sides(NamedTuple):
     num_edges: Tensor  #: [B] float64
 
 
-def boundary_features(pieces: PieceGraph) -> Tensor:
-    """The features of each boundary between two pieces: [B, F] float32.
+def boundary_features(superpoints: SuperpointGraph) -> Tensor:
+    """The features of each boundary between two superpoints: [B, F] float32.
 
-    There is one column for each of FEATURE_NAMES; NaN = missing. The rows have the order of `pieces.pairs`.
+    There is one column for each of FEATURE_NAMES; NaN = missing. The rows have the order of `superpoints.pairs`.
     """
-    statistics, images, boundaries = pieces.statistics, pieces.images, pieces.boundaries
-    a, b = pieces.pairs
+    statistics, images, boundaries = superpoints.statistics, superpoints.images, superpoints.boundaries
+    a, b = superpoints.pairs
     a_is_small = statistics.size[a] <= statistics.size[b]
     small, large = torch.where(a_is_small, a, b), torch.where(a_is_small, b, a)
-    sides = _Sides(pieces.pairs, small, large, boundaries.num_edges.double())
+    sides = _Sides(superpoints.pairs, small, large, boundaries.num_edges.double())
     mean = boundaries.means()
     columns: Columns = {"unoriented_share": mean["unoriented"]}
     for name, quantiles in boundaries.quantiles(QUANTILES).items():
@@ -132,16 +132,16 @@ def boundary_features(pieces: PieceGraph) -> Tensor:
     columns |= _sizes(statistics, sides)
     columns |= _shapes(statistics, small, large)
     columns |= _colors(statistics, small, large)
-    columns |= _in_context("crease", mean["hollow"], sides, len(pieces))
+    columns |= _in_context("crease", mean["hollow"], sides, len(superpoints))
     if images is not None:
         columns |= {"seen_share": mean["seen"], "log_views": mean["views"].log1p()}
-        columns |= image_agreement(images, len(pieces), pieces.pairs)
-        columns |= _in_context("disagreement", mean["disagreement"], sides, len(pieces))
-    columns |= _neighborhood(sides, len(pieces))
+        columns |= image_agreement(images, len(superpoints), superpoints.pairs)
+        columns |= _in_context("disagreement", mean["disagreement"], sides, len(superpoints))
+    columns |= _neighborhood(sides, len(superpoints))
     columns |= _bulges(statistics, small, large)
     columns |= _roughness(statistics, small, large, columns["bend_median"])
-    if pieces.typical_color_step is not None:
-        columns["color_step_ratio"] = columns["color_step_median"] / pieces.typical_color_step
+    if superpoints.typical_color_step is not None:
+        columns["color_step_ratio"] = columns["color_step_median"] / superpoints.typical_color_step
         columns |= _textures(statistics, small, large, columns["color_step_median"])
     return _in_order(columns, len(a))
 

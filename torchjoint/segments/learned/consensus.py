@@ -2,8 +2,8 @@
 
 Merging is greedy: one boundary that is judged a hair higher changes all that merges later, so that points moved by a
 tenth of a millimetre may give other objects. The members of an ensemble, each of which merges by itself, rarely make
-the same accidental merge. Two pieces are kept together where most of their trees have them together. The members also
-see jittered copies of the cloud (:func:`jittered`), because pieces grow greedily, too.
+the same accidental merge. Two superpoints are kept together where most of their trees have them together. The members
+also see jittered copies of the cloud (:func:`jittered`), because superpoints grow greedily, too.
 """
 
 from __future__ import annotations
@@ -20,19 +20,25 @@ from torchjoint import ops
 from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.normals import dot, estimate_normals
 from torchjoint.cloud.scales import Scales
-from torchjoint.ops.internal import average_linkage
+from torchjoint.ops.internal import WEIGHT_UNIT, mask_merges
 from torchjoint.runtime.groups import members_of_groups, most_frequent, numbers_by_first_place
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import Votes
-from torchjoint.segments.learned.agglomeration import Merges, build_hierarchy, last_levels, merge_pieces, merging_steps
+from torchjoint.segments.learned.agglomeration import (
+    Merges,
+    build_hierarchy,
+    last_levels,
+    merge_superpoints,
+    merging_steps,
+)
 from torchjoint.segments.learned.boundaries import MANY_BOUNDARIES
 from torchjoint.segments.learned.boundary_features import boundary_features
 from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.masks import MaskLinkage
-from torchjoint.segments.learned.piece_graph import MANY_POINTS, PieceGraph, counted
 from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES, merges_by_contact
+from torchjoint.segments.learned.superpoint_graph import MANY_POINTS, SuperpointGraph, counted
 
 #: Number of copies of the cloud; the first one is the cloud itself, the others are jittered.
 COPIES = 3
@@ -85,16 +91,16 @@ class Ensemble:
         self.is_unsure = (torch.arange(3 * count) // count == 1)[share]  # [T] bool
         self._random = torch.Generator().manual_seed(share.start)
 
-    def probabilities(self, member_of_piece: Tensor, number: int, values: Tensor, piece: Tensor) -> Tensor:
+    def probabilities(self, member_of_superpoint: Tensor, number: int, values: Tensor, superpoint: Tensor) -> Tensor:
         """The probability that two regions belong to different objects, [B] float64.
 
         Args:
-            member_of_piece: [P] int64, who is asked.
+            member_of_superpoint: [P] int64, who is asked.
             number: of the round.
             values: [B, F] float32, features of the boundaries.
-            piece: [B] int64, a piece on one side of each.
+            superpoint: [B] int64, a superpoint on one side of each.
         """
-        member = member_of_piece[piece]
+        member = member_of_superpoint[superpoint]
         probability = torch.zeros(len(values), dtype=torch.float64)
         for trained, weight in zip(self._trained, self.weights.T[:, member], strict=True):
             rows = torch.nonzero(weight).squeeze(1)
@@ -116,114 +122,120 @@ class Ensemble:
         return probability.masked_scatter(is_unsure, torch.sigmoid(log_odds))
 
 
-def build_consensus(copies: Sequence[PieceGraph], model: BoundaryModel) -> Hierarchy:
+def build_consensus(copies: Sequence[SuperpointGraph], model: BoundaryModel) -> Hierarchy:
     """The consensus of the trees of the members of an :class:`Ensemble`. With masks, each copy has one tree, of all.
 
     Args:
-        copies: the pieces and what is known about their boundaries, one or several times, each read once. Each copy has
-            its share of the members. The first one has the pieces of the result.
+        copies: the superpoints and what is known about their boundaries, one or several times, each read once. Each
+            copy has its share of the members. The first one has the superpoints of the result.
         model: its trained members.
 
     Returns:
-        all levels. The cut at a threshold of the merging has those pieces together that most trees have together at
-        this threshold. Between two thresholds, heights ascend with the share of the trees that are against a merge.
+        all levels. The cut at a threshold of the merging has those superpoints together that most trees have together
+        at this threshold. Between two thresholds, heights ascend with the share of the trees that are against a merge.
         Its votes are the trees' segments at the default level.
     """
-    pieces, levels, segments = segments_of_members(copies, model)
-    size = pieces.statistics.size.long()
-    linkage = MaskLinkage.of(pieces.masks, size)
-    merges, below, default = Merges(len(size)), 0.0, last_levels(model.thresholds, pieces)[0]
-    of_piece = torch.arange(len(size))
+    superpoints, levels, segments = segments_of_members(copies, model)
+    size = superpoints.statistics.size.long()
+    linkage = MaskLinkage.of(superpoints.masks, size)
+    merges, below, default = Merges(len(size)), 0.0, last_levels(model.thresholds, superpoints)[0]
+    of_superpoint = torch.arange(len(size))
     for level, of_members in zip(levels, segments, strict=True):
-        joined, against = vote(of_members, of_piece, size, pieces.pairs)
-        merges.add(of_piece, joined, below + (level - below) * against / MAJORITY, level)
-        of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
+        joined, against = vote(of_members, of_superpoint, size, superpoints.pairs)
+        merges.add(of_superpoint, joined, below + (level - below) * against / MAJORITY, level)
+        of_superpoint = ops.connected_components(joined, int(of_superpoint.max()) + 1)[of_superpoint]
         if level == max(model.thresholds):
             # what does not touch, but is together for the majority; all finer levels keep it apart
-            joined, against = vote(of_members, of_piece, size)
-            merges.add(of_piece, joined, torch.full_like(against, level), level)
-            of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
+            joined, against = vote(of_members, of_superpoint, size)
+            merges.add(of_superpoint, joined, torch.full_like(against, level), level)
+            of_superpoint = ops.connected_components(joined, int(of_superpoint.max()) + 1)[of_superpoint]
         if level == default:
             votes = Votes(torch.stack(of_members), size)
-            regions, stays = pieces.grouped(of_piece), None if linkage is None else linkage.confirmed(of_piece)
-            least = MIN_SIZE if pieces.images is None or linkage is not None else MIN_SIZE_IN_IMAGES
+            regions, stays = (
+                superpoints.grouped(of_superpoint),
+                None if linkage is None else linkage.confirmed(of_superpoint),
+            )
+            least = MIN_SIZE if superpoints.images is None or linkage is not None else MIN_SIZE_IN_IMAGES
             count = regions.boundaries.num_edges
             joined = merges_by_contact(regions.pairs, count, regions.statistics.size, stays, least)
-            merges.add(of_piece, joined, torch.full((joined.shape[1],), level, dtype=torch.float64), level)
-            of_piece = ops.connected_components(joined, int(of_piece.max()) + 1)[of_piece]
+            merges.add(of_superpoint, joined, torch.full((joined.shape[1],), level, dtype=torch.float64), level)
+            of_superpoint = ops.connected_components(joined, int(of_superpoint.max()) + 1)[of_superpoint]
         below = level
-    return replace(merges.hierarchy(pieces.piece, default), votes=votes)
+    return replace(merges.hierarchy(superpoints.superpoint, default), votes=votes)
 
 
 def segments_of_members(
-    copies: Sequence[PieceGraph], model: BoundaryModel
-) -> tuple[PieceGraph, list[float], list[list[Tensor]]]:
+    copies: Sequence[SuperpointGraph], model: BoundaryModel
+) -> tuple[SuperpointGraph, list[float], list[list[Tensor]]]:
     """The first copy without measures; thresholds of the L levels; for each level the segments of each member's tree.
 
-    The segments [P] are those of the first copy's pieces: a piece is where most of its points are after the first step.
+    The segments [P] are those of the first copy's superpoints: a superpoint is where most of its points are after the
+    first step.
     """
     given = [copies[0]]  # whoever takes it is the only one who has its measures
-    pieces = given[0].without_measures()
-    levels = _levels(model.thresholds, pieces)
+    superpoints = given[0].without_measures()
+    levels = _levels(model.thresholds, superpoints)
 
-    def taken(number: int) -> PieceGraph:
+    def taken(number: int) -> SuperpointGraph:
         return copies[number] if number else given.pop()
 
     def of_copy(number: int) -> list[list[Tensor]]:
-        if pieces.masks is not None:
-            return _segments_by_masks(taken(number), model, levels, pieces.piece)
+        if superpoints.masks is not None:
+            return _segments_by_masks(taken(number), model, levels, superpoints.superpoint)
         ensemble = Ensemble(model, slice(number, None, len(copies)))
-        cells, regions, after = _first_step(taken(number), ensemble, levels[0], pieces.piece)
+        cells, regions, after = _first_step(taken(number), ensemble, levels[0], superpoints.superpoint)
         return _segments(cells, regions, after, ensemble, model, levels)
 
     numbers = range(len(copies))
-    found = parallel_map(of_copy, numbers) if len(pieces.piece) <= MANY_POINTS else [*map(of_copy, numbers)]
-    return pieces, levels, [list(chain.from_iterable(of_level)) for of_level in zip(*found, strict=True)]
+    found = parallel_map(of_copy, numbers) if len(superpoints.superpoint) <= MANY_POINTS else [*map(of_copy, numbers)]
+    return superpoints, levels, [list(chain.from_iterable(of_level)) for of_level in zip(*found, strict=True)]
 
 
-def _levels(thresholds: Sequence[float], pieces: PieceGraph) -> list[float]:
-    return sorted({threshold for _, threshold in merging_steps(thresholds)} | {*last_levels(thresholds, pieces)})
+def _levels(thresholds: Sequence[float], superpoints: SuperpointGraph) -> list[float]:
+    return sorted({threshold for _, threshold in merging_steps(thresholds)} | {*last_levels(thresholds, superpoints)})
 
 
 def _segments_by_masks(
-    pieces: PieceGraph, model: BoundaryModel, levels: Sequence[float], other: Tensor
+    superpoints: SuperpointGraph, model: BoundaryModel, levels: Sequence[float], other: Tensor
 ) -> list[list[Tensor]]:
-    """For each level the segments of the one tree of all members, of other pieces (as :func:`_first_step`)."""
-    tree = build_hierarchy(pieces, model)
-    found = [tree.segments_of_pieces(level) for level in levels]
-    return [[of_level] for of_level in _of_other_pieces(found, pieces.piece, other)]
+    """For each level the segments of the one tree of all members, of other superpoints (as :func:`_first_step`)."""
+    tree = build_hierarchy(superpoints, model)
+    found = [tree.segments_of_superpoints(level) for level in levels]
+    return [[of_level] for of_level in _of_other_superpoints(found, superpoints.superpoint, other)]
 
 
 def _first_step(
-    pieces: PieceGraph, ensemble: Ensemble, threshold: float, other: Tensor
-) -> tuple[PieceGraph, list[Tensor], list[Tensor]]:
+    superpoints: SuperpointGraph, ensemble: Ensemble, threshold: float, other: Tensor
+) -> tuple[SuperpointGraph, list[Tensor], list[Tensor]]:
     """The first step of each member.
 
     Args:
-        pieces: of the copy.
+        superpoints: of the copy.
         ensemble: the members.
         threshold: of the step.
-        other: [N] int64, the other piece of each point.
+        other: [N] int64, the other superpoint of each point.
 
     Returns:
-        the graph of the C cells, which are the pieces that all members have together; the regions [C] of each member;
-        and the region of each other piece, for each member.
+        the graph of the C cells, which are the superpoints that all members have together; the regions [C] of each
+        member; and the region of each other superpoint, for each member.
     """
-    num_edges = pieces.boundaries.num_edges
+    num_edges = superpoints.boundaries.num_edges
 
     def merged(probability: Tensor) -> Tensor:
-        joined, _ = ops.region_dendrogram(pieces.pairs, probability.float(), len(pieces), threshold, num_edges)
-        return ops.connected_components(joined, len(pieces))
+        joined, _ = ops.region_dendrogram(
+            superpoints.pairs, probability.float(), len(superpoints), threshold, num_edges
+        )
+        return ops.connected_components(joined, len(superpoints))
 
-    regions = parallel_map(merged, ensemble.first_probabilities(boundary_features(pieces)))
+    regions = parallel_map(merged, ensemble.first_probabilities(boundary_features(superpoints)))
     cell = _together(regions)
-    cells = pieces.grouped(cell)
-    of_cells = [torch.empty_like(cells.piece).index_put_((cell,), region) for region in regions]
-    return cells, of_cells, _of_other_pieces(regions, pieces.piece, other)
+    cells = superpoints.grouped(cell)
+    of_cells = [torch.empty_like(cells.superpoint).index_put_((cell,), region) for region in regions]
+    return cells, of_cells, _of_other_superpoints(regions, superpoints.superpoint, other)
 
 
 def _segments(
-    cells: PieceGraph,
+    cells: SuperpointGraph,
     of_cells: Sequence[Tensor],
     regions: Sequence[Tensor],
     ensemble: Ensemble,
@@ -236,8 +248,8 @@ def _segments(
         sizes = [int(of_cells[member].max()) + 1 for member in members]
         asked = torch.tensor(members).repeat_interleave(torch.tensor(sizes))
         graph, steps = cells.grouped(*(of_cells[member] for member in members)), merging_steps(model.thresholds)[1:]
-        forest = merge_pieces(graph, steps, partial(ensemble.probabilities, asked))
-        of_levels = [forest.segments_of_pieces(level).split(sizes) for level in levels[1:]]
+        forest = merge_superpoints(graph, steps, partial(ensemble.probabilities, asked))
+        of_levels = [forest.segments_of_superpoints(level).split(sizes) for level in levels[1:]]
         for member, of_member in zip(members, zip(*of_levels, strict=True), strict=True):
             found[member] = [regions[member], *((one - one[0])[regions[member]] for one in of_member)]
     return [list(of_level) for of_level in zip(*(found[member] for member in range(len(regions))), strict=True)]
@@ -252,20 +264,20 @@ def _at_once(is_unsure: Tensor, num_boundaries: int) -> list[list[int]]:
     return [[number] for number in numbers if number not in unsure] + ([unsure] if unsure else [])
 
 
-def _of_other_pieces(regions: Sequence[Tensor], piece: Tensor, other: Tensor) -> list[Tensor]:
-    """For regions of pieces, the region of each piece of an `other` division of the points: where most of them are.
+def _of_other_superpoints(regions: Sequence[Tensor], superpoint: Tensor, other: Tensor) -> list[Tensor]:
+    """The region of each superpoint of an `other` division of the points: where most of its points are.
 
     Args:
         regions: each [P] int64, 0, 1, ...
-        piece, other: [N] int64, the piece of each point, of P pieces and of the others.
+        superpoint, other: [N] int64, the superpoint of each point, of P superpoints and of the others.
     """
-    width = int(piece.max()) + 1
-    key, count = torch.unique(other * width + piece, return_counts=True)
+    width = int(superpoint.max()) + 1
+    key, count = torch.unique(other * width + superpoint, return_counts=True)
     return [most_frequent(region[key % width], key // width, count) for region in regions]
 
 
 def _together(segments: Sequence[Tensor]) -> Tensor:
-    """The cell of each piece: pieces that all segmentations [P] have together; numbered by first appearance."""
+    """The cell of each superpoint: what all segmentations [P] have together; numbered by first appearance."""
     cell = segments[0]
     for other in segments[1:]:
         _, cell = torch.unique(cell * (int(other.max()) + 1) + other, return_inverse=True)
@@ -273,7 +285,7 @@ def _together(segments: Sequence[Tensor]) -> Tensor:
 
 
 def vote(
-    segments: Sequence[Tensor], of_piece: Tensor, size: Tensor, touching: Tensor | None = None
+    segments: Sequence[Tensor], of_superpoint: Tensor, size: Tensor, touching: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
     """Repeatedly merges the two regions that most segmentations have together, while these are the majority.
 
@@ -281,9 +293,10 @@ def vote(
 
     Args:
         segments: K segmentations, each [P] int64, 0, 1, ...
-        of_piece: [P] int64, region of each piece, 0 ... R - 1.
-        size: [P] int64, points of each piece.
-        touching: [2, Q] int64, pairs of pieces; regions merge if they have such a pair. None: any regions may merge.
+        of_superpoint: [P] int64, region of each superpoint, 0 ... R - 1.
+        size: [P] int64, points of each superpoint.
+        touching: [2, Q] int64, pairs of superpoints; regions merge if they have such a pair. None: any regions may
+            merge.
 
     Returns:
         [2, M] int64, for each merge the lowest regions of the two groups; [M] float64, the share that has them apart.
@@ -291,12 +304,37 @@ def vote(
     num_segments = torch.tensor([int(one.max()) + 1 for one in segments])
     first = num_segments.cumsum(0) - num_segments
     in_segment = torch.cat(
-        [counted(of_piece, one + start, size) for one, start in zip(segments, first, strict=True)], 1
+        [counted(of_superpoint, one + start, size) for one, start in zip(segments, first, strict=True)], 1
     )
-    ends = of_piece[touching] if touching is not None else _in_one_segment(in_segment)
-    size_of_region = sum_by(of_piece, size, int(of_piece.max()) + 1)
+    ends = of_superpoint[touching] if touching is not None else _in_one_segment(in_segment)
+    size_of_region = sum_by(of_superpoint, size, int(of_superpoint.max()) + 1)
     segmentation = torch.arange(len(segments)).repeat_interleave(num_segments)
     return average_linkage(ends, size_of_region, in_segment, segmentation, MAJORITY)
+
+
+def average_linkage(
+    edge_index: Tensor, size: Tensor, in_segment: Tensor, segmentation: Tensor, threshold: float
+) -> tuple[Tensor, Tensor]:
+    """Repeatedly merges the two adjacent regions that the fewest of some segmentations have apart; lists the merges.
+
+    The share of segmentations that have two regions apart is the mean over all pairs of points, one of each region.
+
+    Args:
+        edge_index, size: as those of :func:`~torchjoint.ops.internal.mask_merges`.
+        in_segment: [3, I] int64: region, segment, number of the region's points in it.
+        segmentation: [S] int64, 0 ... K - 1, the segmentation of each segment. Each has all points.
+        threshold: largest share of two regions that merge.
+
+    Returns:
+        as :func:`~torchjoint.ops.internal.mask_merges`, with the shares as costs.
+    """
+    # A segmentation is a frame that sees all points, and its segments are masks. The least prior changes nothing.
+    frames = torch.arange(int(segmentation.max()) + 1)
+    region = torch.arange(len(size))
+    in_frame = torch.stack([region.repeat(len(frames)), frames.repeat_interleave(len(size)), size.repeat(len(frames))])
+    prior, one = torch.zeros(edge_index.shape[1], dtype=torch.float32), torch.ones_like(edge_index[0])
+    masks = (in_segment, in_frame, torch.full_like(segmentation, WEIGHT_UNIT), segmentation)
+    return mask_merges(edge_index, prior, one, size, *masks, apart_weight=1.0, prior_weight=1e-9, threshold=threshold)
 
 
 def _in_one_segment(in_segment: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Step 6, method learned: what masks of networks say: they cut pieces, merge them, and move them to their majority."""
+"""Step 6, method learned: what masks of networks say: they cut superpoints, merge and move them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from torchjoint.ops.internal import mask_merges
 from torchjoint.runtime.groups import find, first_places, members_of_groups
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
-from torchjoint.segments.learned.piece_graph import MaskCounts, masks_of_pieces
 from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.segments.learned.small_regions import MIN_SIZE
+from torchjoint.segments.learned.superpoint_graph import MaskCounts, masks_of_superpoints
 from torchjoint.views.observations import Observation
 
 # These numbers were chosen on generated rooms, table-tops, shelves and kitchens with perfect, SAM-like and hard masks.
@@ -39,8 +39,8 @@ class MaskLinkage:
     """Merges regions by masks.
 
     Attributes:
-        masks: counts of the points of each piece in each mask.
-        size: [P] int64, points of each piece.
+        masks: counts of the points of each superpoint in each mask.
+        size: [P] int64, points of each superpoint.
         prior_weight: weight of the model's probability, in frames.
         keeps_outlines: whether what a mask confirms stays apart from what another mask confirms, and from what most
             views show without a mask: "no mask" beside a mask says that its thing ends there.
@@ -53,42 +53,42 @@ class MaskLinkage:
 
     @classmethod
     def of(cls, masks: MaskCounts | None, size: Tensor) -> MaskLinkage | None:
-        """The linkage of pieces with sizes [P]; None if there are no masks."""
+        """The linkage of superpoints with sizes [P]; None if there are no masks."""
         return None if masks is None else cls(masks, size.long())
 
     def merges(
-        self, of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
+        self, of_superpoint: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
     ) -> tuple[Tensor, Tensor]:
         """As :func:`torchjoint.ops.region_dendrogram`, with masks.
 
         Args:
-            of_piece: [P] int64, region of each piece, 0 ... R - 1.
+            of_superpoint: [P] int64, region of each superpoint, 0 ... R - 1.
             ends: [2, B] int64, the two regions of each boundary.
             cost: [B] float32, the model's probability that they belong to different objects.
             count: [B] int64, edges of the boundary.
             threshold: largest cost of two regions that merge.
         """
         if self.keeps_outlines:
-            confirmed = self.confirmed(of_piece)
-            apart = (confirmed[ends] & (confirmed | self._without_masks(of_piece))[ends.flip(0)]).any(0)
+            confirmed = self.confirmed(of_superpoint)
+            apart = (confirmed[ends] & (confirmed | self._without_masks(of_superpoint))[ends.flip(0)]).any(0)
             ends, cost, count = ends[:, ~apart], cost[~apart], count[~apart]
-        return mask_merges(ends, cost, count, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, threshold)
+        return mask_merges(ends, cost, count, *self._tables(of_superpoint), APART_WEIGHT, self.prior_weight, threshold)
 
     def merges_far(
-        self, of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
+        self, of_superpoint: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
     ) -> tuple[Tensor, Tensor]:
         """As `merges`; regions in one mask may merge even if they do not touch, as over an edge of cost 1."""
-        far, num_regions = self.far_pairs(of_piece), int(of_piece.max()) + 1
+        far, num_regions = self.far_pairs(of_superpoint), int(of_superpoint.max()) + 1
         key, known = (pairs[0] * num_regions + pairs[1] for pairs in (far, ends))
         far = far[:, ~torch.isin(key, known)]
         one = torch.ones(far.shape[1], dtype=torch.int64)
         ends, cost, count = torch.cat([ends, far], 1), torch.cat([cost, one.float()]), torch.cat([count, one])
-        return self.merges(of_piece, ends, cost, count, threshold)
+        return self.merges(of_superpoint, ends, cost, count, threshold)
 
-    def far_pairs(self, of_piece: Tensor) -> Tensor:
+    def far_pairs(self, of_superpoint: Tensor) -> Tensor:
         """Pairs of regions that lie in one mask, whether or not they touch: [2, B] int64, a < b, ascending."""
-        num_regions = int(of_piece.max()) + 1
-        region, mask, count = self.masks.of_regions(of_piece)[0]
+        num_regions = int(of_superpoint.max()) + 1
+        region, mask, count = self.masks.of_regions(of_superpoint)[0]
         region, mask = region[count >= MIN_POINTS], mask[count >= MIN_POINTS]
         order = torch.argsort(mask, stable=True)
         region, mask = region[order], mask[order]
@@ -99,41 +99,41 @@ class MaskLinkage:
         return torch.stack([key // num_regions, key % num_regions])
 
     def merges_of_small(
-        self, of_piece: Tensor, ends: Tensor, cost: Tensor, count: Tensor, _: float = math.inf
+        self, of_superpoint: Tensor, ends: Tensor, cost: Tensor, count: Tensor, _: float = math.inf
     ) -> tuple[Tensor, Tensor]:
         """As `merges`, without threshold: small regions in masks join a neighbour, unless a mask confirms them.
 
         Regions that most views show without a mask stay.
         """
-        stays = self.confirmed(of_piece) | self._without_masks(of_piece)
+        stays = self.confirmed(of_superpoint) | self._without_masks(of_superpoint)
         return mask_merges(
-            ends, cost, count, *self._tables(of_piece), APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE
+            ends, cost, count, *self._tables(of_superpoint), APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE
         )
 
-    def confirmed(self, of_piece: Tensor) -> Tensor:
+    def confirmed(self, of_superpoint: Tensor) -> Tensor:
         """Whether a mask confirms each region, [R] bool."""
-        size, in_mask, in_frame, *_ = self._tables(of_piece)
+        size, in_mask, in_frame, *_ = self._tables(of_superpoint)
         best = torch.zeros(len(size), dtype=torch.float64)
         best.scatter_reduce_(0, in_mask[0], overlaps(self.masks, in_mask, in_frame), "amax")
         return best >= CONFIRMED
 
-    def _without_masks(self, of_piece: Tensor) -> Tensor:
+    def _without_masks(self, of_superpoint: Tensor) -> Tensor:
         """Whether most views show a region without a mask, [R] bool."""
-        size, in_mask, in_frame, *_ = self._tables(of_piece)
+        size, in_mask, in_frame, *_ = self._tables(of_superpoint)
         in_masks, in_view = (sum_by(table[0], table[2], len(size)) for table in (in_mask, in_frame))
         return 2 * in_masks < in_view
 
-    def _tables(self, of_piece: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        size = sum_by(of_piece, self.size, int(of_piece.max()) + 1)
-        return size, *self.masks.of_regions(of_piece), self.masks.weight, self.masks.frame_of_mask
+    def _tables(self, of_superpoint: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        size = sum_by(of_superpoint, self.size, int(of_superpoint.max()) + 1)
+        return size, *self.masks.of_regions(of_superpoint), self.masks.weight, self.masks.frame_of_mask
 
-    def calibrated(self, of_piece: Tensor) -> MaskLinkage:
+    def calibrated(self, of_superpoint: Tensor) -> MaskLinkage:
         """A copy whose prior weight grows with the share of votes against the given regions.
 
         Args:
-            of_piece: [P] int64, regions that were merged by these masks.
+            of_superpoint: [P] int64, regions that were merged by these masks.
         """
-        size, in_mask, in_frame, *_ = self._tables(of_piece)
+        size, in_mask, in_frame, *_ = self._tables(of_superpoint)
         share = shares_against(self.masks, in_mask, in_frame, len(size))
         size = size[~share.isnan()]
         noise = float((share[~share.isnan()] * size).sum() / size.sum()) if len(size) else 0.0
@@ -180,58 +180,59 @@ def _seen_with(masks: MaskCounts, in_mask: Tensor, in_frame: Tensor) -> Tensor:
 # These numbers were chosen on generated rooms, table-tops and shelves with perfect, SAM-like and hard masks. None of
 # these scenes is used for scores.
 
-#: A piece is cut if more than this share of the votes of its pairs of points is against one object.
+#: A superpoint is cut if more than this share of the votes of its pairs of points is against one object.
 MIXED = 0.1
-#: Weight, in frames, of the assumption that the points of one piece belong together.
+#: Weight, in frames, of the assumption that the points of one superpoint belong together.
 PRIOR_WEIGHT = 0.1
 #: Largest cost of two parts that merge again.
 THRESHOLD = 0.5
-#: Largest number of frames per piece: those that see most of it. All frames of all points would take gigabytes.
+#: Largest number of frames per superpoint: those that see most of it. All frames of all points would take gigabytes.
 MAX_FRAMES = 32
 
 
-def cut_by_masks(piece: Tensor, edge_index: Tensor, observations: Sequence[Observation]) -> Tensor:
-    """Cuts the pieces whose points lie in different masks.
+def cut_by_masks(superpoint: Tensor, edge_index: Tensor, observations: Sequence[Observation]) -> Tensor:
+    """Cuts the superpoints whose points lie in different masks.
 
-    The points of such a piece merge again from single points, as regions do
-    (:func:`torchjoint.ops.internal.mask_merges`). So a piece is cut only where the masks of most frames agree; single
-    wrong outlines do not cut.
+    The points of such a superpoint merge again from single points, as regions do
+    (:func:`torchjoint.ops.internal.mask_merges`). So a superpoint is cut only where the masks of most frames agree;
+    single wrong outlines do not cut.
 
     Args:
-        piece: [N] int64, 0 ... P - 1.
+        superpoint: [N] int64, 0 ... P - 1.
         edge_index: [2, E] int64, edges of the point graph.
         observations: the frames; those without masks do not count.
 
     Returns:
-        [N] int64 pieces, numbered by first appearance; each lies inside one of the given pieces.
+        [N] int64 superpoints, numbered by first appearance; each lies inside one of the given superpoints.
     """
-    masks = masks_of_pieces(piece, observations)
+    masks = masks_of_superpoints(superpoint, observations)
     if masks is None:
-        return piece
-    num_pieces = int(piece.max()) + 1
-    is_mixed = shares_against(masks, masks.in_mask, masks.in_frame, num_pieces) > MIXED
-    single = is_mixed[piece]
-    # The points of mixed pieces are regions of their own; each other piece is one region, named by its first point.
-    first = first_places(piece, num_pieces)[piece]
-    region = torch.unique(torch.where(single, torch.arange(len(piece)), first), return_inverse=True)[1]
+        return superpoint
+    num_superpoints = int(superpoint.max()) + 1
+    is_mixed = shares_against(masks, masks.in_mask, masks.in_frame, num_superpoints) > MIXED
+    single = is_mixed[superpoint]
+    # The points of mixed superpoints are regions of their own; each other superpoint is one region, named by its first
+    # point.
+    first = first_places(superpoint, num_superpoints)[superpoint]
+    region = torch.unique(torch.where(single, torch.arange(len(superpoint)), first), return_inverse=True)[1]
     i, j = edge_index
-    ends = region[edge_index[:, single[i] & (piece[i] == piece[j])]]
-    counts = _frames_that_see_most(masks.in_frame, num_pieces, len(observations))
-    of_points = masks_of_pieces(region, observations, lambda frame, point: counts[frame, piece[point]])
+    ends = region[edge_index[:, single[i] & (superpoint[i] == superpoint[j])]]
+    counts = _frames_that_see_most(masks.in_frame, num_superpoints, len(observations))
+    of_points = masks_of_superpoints(region, observations, lambda frame, point: counts[frame, superpoint[point]])
     joined = _merges_of_parts(ends, torch.bincount(region), of_points)
     return ops.connected_components(joined, int(region.max()) + 1)[region]
 
 
-def _frames_that_see_most(in_frame: Tensor, num_pieces: int, num_frames: int) -> Tensor:
-    """The MAX_FRAMES frames that see most points of each piece; ties: the first frames. [F, P] bool."""
-    piece, frame, num_points = in_frame[:, torch.argsort(in_frame[1], stable=True)]
+def _frames_that_see_most(in_frame: Tensor, num_superpoints: int, num_frames: int) -> Tensor:
+    """The MAX_FRAMES frames that see most points of each superpoint; ties: the first frames. [F, P] bool."""
+    superpoint, frame, num_points = in_frame[:, torch.argsort(in_frame[1], stable=True)]
     order = torch.argsort(num_points, descending=True, stable=True)
-    order = order[torch.argsort(piece[order], stable=True)]
-    count = torch.bincount(piece, minlength=num_pieces)
-    rank = torch.arange(len(order)) - (count.cumsum(0) - count)[piece[order]]
+    order = order[torch.argsort(superpoint[order], stable=True)]
+    count = torch.bincount(superpoint, minlength=num_superpoints)
+    rank = torch.arange(len(order)) - (count.cumsum(0) - count)[superpoint[order]]
     chosen = order[rank < MAX_FRAMES]
-    most = torch.zeros(num_frames, num_pieces, dtype=torch.bool)
-    most[frame[chosen], piece[chosen]] = True
+    most = torch.zeros(num_frames, num_superpoints, dtype=torch.bool)
+    most[frame[chosen], superpoint[chosen]] = True
     return most
 
 
@@ -265,31 +266,31 @@ def move_to_majority(
 
     Each mask belongs to the region of the default level with which it overlaps best. A point moves if more than half of
     the frames with masks that see it show it in masks of one other region, and if it has a neighbour in that region.
-    It joins the piece of this neighbour; if there are several, the one with the lowest number counts. So all levels
-    stay nested. No piece loses all its points.
+    It joins the superpoint of this neighbour; if there are several, the one with the lowest number counts. So all
+    levels stay nested. No superpoint loses all its points.
 
     Args:
-        hierarchy: the pieces and their merges.
+        hierarchy: the superpoints and their merges.
         edge_index: [2, E] int64, edges of the point graph.
-        masks: the masks in which the pieces lie.
+        masks: the masks in which the superpoints lie.
         observations: the frames from which `masks` was made.
     """
-    of_piece = hierarchy.segments_of_pieces(hierarchy.default)
-    region = of_piece[hierarchy.piece]
-    wanted = _wanted_regions(region, _best_regions(masks, of_piece), observations)
+    of_superpoint = hierarchy.segments_of_superpoints(hierarchy.default)
+    region = of_superpoint[hierarchy.superpoint]
+    wanted = _wanted_regions(region, _best_regions(masks, of_superpoint), observations)
     ends = torch.cat([edge_index, edge_index.flip(0)], 1)
     one, other = ends[:, (wanted[ends[0]] >= 0) & (wanted[ends[0]] == region[ends[1]])]
     num_points = len(region)
     source = torch.full((num_points,), num_points).scatter_reduce_(0, one, other, "amin")
     stays = torch.arange(num_points)
     source = torch.where(source < num_points, source, stays)
-    # If points stay to keep their piece, another piece that would have received them may be lost: test again.
-    while (is_lost := torch.bincount(hierarchy.piece[source], minlength=hierarchy.num_pieces) == 0).any():
-        source = torch.where(is_lost[hierarchy.piece], stays, source)
+    # If points stay to keep their superpoint, another superpoint that would have received them may be lost: test again.
+    while (is_lost := torch.bincount(hierarchy.superpoint[source], minlength=hierarchy.num_superpoints) == 0).any():
+        source = torch.where(is_lost[hierarchy.superpoint], stays, source)
     moved = hierarchy.transferred(source)[0]
     if moved.votes is None:
         return moved
-    return replace(moved, votes=moved.votes._replace(size=torch.bincount(moved.piece)))
+    return replace(moved, votes=moved.votes._replace(size=torch.bincount(moved.superpoint)))
 
 
 def _wanted_regions(region: Tensor, region_of_mask: Tensor, observations: Sequence[Observation]) -> Tensor:
@@ -327,13 +328,13 @@ def _smallest_masks(seen: Observation) -> tuple[Tensor, Tensor, int]:
     return visible.point, smallest[seen.masks.atom[visible.row, visible.column].long()], len(seen.masks)
 
 
-def _best_regions(masks: MaskCounts, of_piece: Tensor) -> Tensor:
+def _best_regions(masks: MaskCounts, of_superpoint: Tensor) -> Tensor:
     """The region that overlaps best with each mask, of several the lowest: [M] int64, -1 = none."""
-    in_mask, in_frame = masks.of_regions(of_piece)
+    in_mask, in_frame = masks.of_regions(of_superpoint)
     region, mask, _ = in_mask
     overlap, num_masks = overlaps(masks, in_mask, in_frame), len(masks.weight)
     largest = torch.zeros(num_masks, dtype=torch.float64).scatter_reduce_(0, mask, overlap, "amax")
     is_largest = overlap == largest[mask]
-    none = int(of_piece.max()) + 1
+    none = int(of_superpoint.max()) + 1
     best = torch.full((num_masks,), none).scatter_reduce_(0, mask[is_largest], region[is_largest], "amin")
     return torch.where(best < none, best, -1)

@@ -1,4 +1,4 @@
-"""Step 6, method learned, the default: merges pieces of the cloud where a model says that they are one object.
+"""Step 6, method learned, the default: merges superpoints of the cloud where a model says that they are one object.
 
 It measures distances in units of the cloud's noise and spacing.
 """
@@ -14,8 +14,8 @@ from torchjoint.scene import Cloud, Hierarchy
 from torchjoint.segments.learned.boundary_model import OF_IMAGES, PACKAGED, BoundaryModel, load_boundary_model
 from torchjoint.segments.learned.consensus import COPIES, build_consensus, jittered
 from torchjoint.segments.learned.masks import move_to_majority
-from torchjoint.segments.learned.piece_graph import PieceGraph, masks_of_pieces
-from torchjoint.segments.learned.pieces import Colors, build_piece_graph, measure_colors
+from torchjoint.segments.learned.superpoint_graph import SuperpointGraph, masks_of_superpoints
+from torchjoint.segments.learned.superpoints import Colors, build_superpoint_graph, measure_colors
 from torchjoint.views.evidence import Evidence
 
 #: Largest distance of a grey point from the axis of greys, units of Lab: of rounded colours.
@@ -44,11 +44,11 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
     colors, without_masks = measure_colors(graph, observations), len(observations.without_masks())
     sees_images = 0 < without_masks == len(observations) and _has_hues(colors)
 
-    def copy(number: int) -> PieceGraph:
-        return build_piece_graph(jittered(graph, scales, number) if number else graph, scales, evidence, colors)
+    def copy(number: int) -> SuperpointGraph:
+        return build_superpoint_graph(jittered(graph, scales, number) if number else graph, scales, evidence, colors)
 
     hierarchy = build_consensus(LazySequence(COPIES, copy), _model(config, sees_images))
-    masks = masks_of_pieces(hierarchy.piece, observations)
+    masks = masks_of_superpoints(hierarchy.superpoint, observations)
     return hierarchy if masks is None else move_to_majority(hierarchy, graph.edge_index, masks, observations)
 
 

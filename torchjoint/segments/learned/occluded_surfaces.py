@@ -41,21 +41,21 @@ MAX_CONTRAST = 1.25
 
 
 class Occlusions(NamedTuple):
-    """Pairs of pieces at the two ends of lines across an occluder."""
+    """Pairs of superpoints at the two ends of lines across an occluder."""
 
-    pairs: Tensor  #: [2, K] int64, pieces a < b, ascending
+    pairs: Tensor  #: [2, K] int64, superpoints a < b, ascending
     num_lines: Tensor  #: [K] int64, number of lines in all images
     may_continue: Tensor  #: [K] bool: both lie in one plane, and the frames do not see free space between them
-    between: Tensor  #: [len(PLACES), K] int64, the piece at each place; -1 = none, or not in one plane
+    between: Tensor  #: [len(PLACES), K] int64, the superpoint at each place; -1 = none, or not in one plane
 
-    def grouped(self, of_piece: Tensor) -> Occlusions:
-        """The same for groups of pieces; `of_piece` [P] int64 is the group of each piece. Pairs may occur twice."""
-        between = torch.where(self.between >= 0, of_piece[self.between], -1)
-        return self._replace(pairs=of_piece[self.pairs], between=between)
+    def grouped(self, of_superpoint: Tensor) -> Occlusions:
+        """The same for groups of superpoints; `of_superpoint` [P] int64 is the group of each. Pairs may occur twice."""
+        between = torch.where(self.between >= 0, of_superpoint[self.between], -1)
+        return self._replace(pairs=of_superpoint[self.pairs], between=between)
 
     @classmethod
     def union(cls, occlusions: Sequence[Occlusions], starts: Sequence[int]) -> Occlusions:
-        """Occlusions of several graphs as one; the pieces of number k are numbered from `starts[k]` on."""
+        """Occlusions of several graphs as one; the superpoints of number k are numbered from `starts[k]` on."""
         moved = [
             one._replace(pairs=one.pairs + start, between=torch.where(one.between >= 0, one.between + start, -1))
             for one, start in zip(occlusions, starts, strict=True)
@@ -64,28 +64,32 @@ class Occlusions(NamedTuple):
 
 
 def find_occlusions(
-    piece: Tensor, statistics: RegionStatistics, points: Tensor, scales: Scales, observations: Sequence[Observation]
+    superpoint: Tensor,
+    statistics: RegionStatistics,
+    points: Tensor,
+    scales: Scales,
+    observations: Sequence[Observation],
 ) -> Occlusions:
     """Counts the lines of all images.
 
     Args:
-        piece: [N] int64, piece of each point, 0 ... P - 1.
-        statistics: statistics of the pieces.
+        superpoint: [N] int64, superpoint of each point, 0 ... P - 1.
+        statistics: statistics of the superpoints.
         points: [N, 3] metres.
         scales: noise and spacing of the points.
         observations: the frames, with their lines.
     """
-    num_pieces = len(statistics.size)
+    num_superpoints = len(statistics.size)
     ends = [torch.empty(2, 0, dtype=torch.int64), *(seen.lines for seen in observations)]
-    one, other = piece[torch.cat(ends, 1)]
-    key, num_lines = torch.unique(_keys(one, other, num_pieces)[one != other], return_counts=True)
-    a, b = key // max(num_pieces, 1), key % max(num_pieces, 1)
+    one, other = superpoint[torch.cat(ends, 1)]
+    key, num_lines = torch.unique(_keys(one, other, num_superpoints)[one != other], return_counts=True)
+    a, b = key // max(num_superpoints, 1), key % max(num_superpoints, 1)
     may_continue = _in_one_plane(statistics, a, b)
     between = torch.full((len(PLACES), len(key)), -1)
     if may_continue.any():
         one, other = a[may_continue], b[may_continue]
         ways = torch.stack([torch.lerp(statistics.mean[one], statistics.mean[other], place) for place in PLACES])
-        between[:, may_continue] = _nearest_pieces(ways, piece, points, scales)
+        between[:, may_continue] = _nearest_superpoints(ways, superpoint, points, scales)
         step = STEP_IN_NOISE * torch.maximum(statistics.noise[one], statistics.noise[other])
         may_continue[may_continue.clone()] = ~_is_seen_through(ways, step, observations).any(0)
     return Occlusions(torch.stack([a, b]), num_lines, may_continue, between)
@@ -120,29 +124,29 @@ def continued_surfaces(occlusions: Occlusions, statistics: RegionStatistics, tou
 
 
 def _keys(a: Tensor, b: Tensor, count: int) -> Tensor:
-    """One number for each unordered pair of pieces or regions 0 ... count - 1."""
+    """One number for each unordered pair of superpoints or regions 0 ... count - 1."""
     return torch.minimum(a, b) * count + torch.maximum(a, b)
 
 
-def _in_one_plane(pieces: RegionStatistics, a: Tensor, b: Tensor) -> Tensor:
-    """[K] bool: each of two pieces lies in the other piece's plane, and both normals have about the same direction."""
-    normal = normalize(pieces.normal, dim=1)
-    way = pieces.mean[b] - pieces.mean[a]
-    off = OFF_PLANE * length(way) + OFF_IN_NOISE * torch.maximum(pieces.noise[a], pieces.noise[b])
+def _in_one_plane(superpoints: RegionStatistics, a: Tensor, b: Tensor) -> Tensor:
+    """[K] bool: each of two superpoints lies in the other's plane, and both normals have about the same direction."""
+    normal = normalize(superpoints.normal, dim=1)
+    way = superpoints.mean[b] - superpoints.mean[a]
+    off = OFF_PLANE * length(way) + OFF_IN_NOISE * torch.maximum(superpoints.noise[a], superpoints.noise[b])
     in_planes = (dot(normal[a], way).abs() <= off) & (dot(normal[b], way).abs() <= off)
     return in_planes & (dot(normal[a], normal[b]) >= SAME_DIRECTION)
 
 
-def _nearest_pieces(ways: Tensor, piece: Tensor, points: Tensor, scales: Scales) -> Tensor:
-    """The piece at each place [L, K, 3] between two pieces: [L, K] int64, -1 = none."""
+def _nearest_superpoints(ways: Tensor, superpoint: Tensor, points: Tensor, scales: Scales) -> Tensor:
+    """The superpoint at each place [L, K, 3] between two superpoints: [L, K] int64, -1 = none."""
     distance, nearest = cKDTree(points.double().numpy()).query(ways.numpy())
     found = torch.from_numpy(nearest)
     near = torch.maximum(NEAR_IN_SPACINGS * scales.spacing[found], NEAR_IN_NOISE * scales.noise[found])
-    return torch.where(torch.from_numpy(distance) < near, piece[found], -1)
+    return torch.where(torch.from_numpy(distance) < near, superpoint[found], -1)
 
 
 def _is_seen_through(ways: Tensor, step: Tensor, observations: Sequence[Observation]) -> Tensor:
-    """Whether places between pairs of pieces are free: more frames see through a place than see something there.
+    """Whether places between pairs of superpoints are free: more frames see through a place than see something there.
 
     An occluder hides a place from one frame, but maybe not from another one. If this other frame sees something behind
     the place, no surface is there. The z-buffer of each frame is computed again here, because the z-buffers of a long

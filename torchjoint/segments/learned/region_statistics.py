@@ -1,7 +1,7 @@
 """Step 6, method learned: statistics of the points of each region: shape, bulge, noise, spacing, colour and texture.
 
-They are computed from points only once, for small pieces. A region is a union of pieces, so its statistics follow from
-the statistics of its pieces.
+They are computed from points only once, for small superpoints. A region is a union of superpoints, so its statistics
+follow from the statistics of its superpoints.
 """
 
 from __future__ import annotations

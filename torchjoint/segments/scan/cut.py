@@ -54,17 +54,17 @@ def falls_apart(tree: Tree, gain: Tensor) -> Tensor:
 
 
 def levels_of(tree: Tree, apart: Tensor, count: int) -> Hierarchy:
-    """All levels of `count` points; those that are in no piece of the tree are one segment, the ground."""
-    piece = torch.zeros(count, dtype=torch.int64)
-    piece[tree.which] = tree.piece + 1
-    num_pieces = len(tree.parent) - len(tree.inner)
-    number = numbers_by_first_place(piece, num_pieces + 1)
+    """All levels of `count` points; those that are in no superpoint of the tree are one segment, the ground."""
+    superpoint = torch.zeros(count, dtype=torch.int64)
+    superpoint[tree.which] = tree.superpoint + 1
+    num_superpoints = len(tree.parent) - len(tree.inner)
+    number = numbers_by_first_place(superpoint, num_superpoints + 1)
     first = torch.arange(len(tree.parent)).where(tree.level == 0, len(tree.parent))[:, None]
-    first = summed_up(first, tree.parent, tree.level, "amin").squeeze(1)  # a piece of each node
+    first = summed_up(first, tree.parent, tree.level, "amin").squeeze(1)  # a superpoint of each node
     parts = torch.nonzero(tree.parent >= 0).squeeze(1)
     whole = tree.parent[parts]
     share = tree.level[whole].double() / len(LEVELS)
     heights = torch.where(apart[whole], DEFAULT + (1 - DEFAULT) * share, DEFAULT * share)
     merges = torch.stack([first[whole], first[parts]], dim=1)
     differ = merges[:, 0] != merges[:, 1]
-    return Hierarchy(number[piece], number[merges[differ] + 1], heights[differ], DEFAULT)
+    return Hierarchy(number[superpoint], number[merges[differ] + 1], heights[differ], DEFAULT)

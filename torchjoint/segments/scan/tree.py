@@ -27,13 +27,13 @@ SMALL = 0.1
 
 
 class Tree(NamedTuple):
-    """M nodes over S points. The first P are the pieces; every other one joins at least two, which come before it."""
+    """M nodes over S points. The first P are superpoints; each other one joins at least two, which come before it."""
 
     which: Tensor  #: [S] int64, numbers of the points, those that stand on the ground
-    piece: Tensor  #: [S] int64, piece of each
+    superpoint: Tensor  #: [S] int64, superpoint of each
     parent: Tensor  #: [M] int64, -1 = none
     level: Tensor  #: [M] int64, at which level of LEVELS it forms
-    inner: Tensor  #: [I] int64, ascending, the nodes that are no pieces
+    inner: Tensor  #: [I] int64, ascending, the nodes that are no superpoints
     features: Tensor  #: [I, F] float32, FEATURE_NAMES of these
 
 
@@ -45,35 +45,35 @@ def grow_tree(gaps: Gaps, standing: Tensor, points: Tensor, height: Tensor, min_
         standing: [N] bool.
         points: [N, 3] metres, the sensor at the origin.
         height: [N] float64 metres over the ground.
-        min_size: pieces with fewer points join another one within JOINING_GAP.
+        min_size: superpoints with fewer points join another one within JOINING_GAP.
     """
     labels = gaps.components(standing, min_size, LEVELS[0])
     which = torch.nonzero(labels).squeeze(1)
-    piece = labels[which] - 1
+    superpoint = labels[which] - 1
     ends, distance = gaps.crossing(labels, LEVELS[-1])
     parent, level, of_joint = _joined(labels[ends] - 1, distance, int(labels.max()))
     inner = torch.arange(int(labels.max()), len(parent))
-    shape = _shapes(points[which].double(), height[which], piece, parent, level)
+    shape = _shapes(points[which].double(), height[which], superpoint, parent, level)
     joint = _joints(points[ends].double(), height[ends], distance, of_joint, len(parent))
-    return Tree(which, piece, parent, level, inner, _features(parent, level, inner, shape, joint))
+    return Tree(which, superpoint, parent, level, inner, _features(parent, level, inner, shape, joint))
 
 
-def _joined(pieces: Tensor, distance: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+def _joined(superpoints: Tensor, distance: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     """Parents [M] and levels [M] of the nodes, and for each joint [E] the node that it makes, -1 = none.
 
     Args:
-        pieces: [2, E] int64, the two pieces of each joint.
+        superpoints: [2, E] int64, the two superpoints of each joint.
         distance: [E] float64, in gaps.
-        count: P, the number of pieces.
+        count: P, the number of superpoints.
     """
     parent, level = torch.full((2 * count,), -1), torch.zeros(2 * count, dtype=torch.int64)
-    top, of_joint = torch.arange(count), torch.full_like(pieces[0], -1)
+    top, of_joint = torch.arange(count), torch.full_like(superpoints[0], -1)
     # What is nearer than the first level crosses no border.
     at = torch.searchsorted(torch.tensor(LEVELS, dtype=torch.float64), distance).clamp(min=1)
     for number in range(1, len(LEVELS)):
         near = torch.nonzero(at == number).squeeze(1)
-        near = near[top[pieces[0, near]] != top[pieces[1, near]]]
-        members, place = torch.unique(top[pieces[:, near]], return_inverse=True)
+        near = near[top[superpoints[0, near]] != top[superpoints[1, near]]]
+        members, place = torch.unique(top[superpoints[:, near]], return_inverse=True)
         group = ops.connected_components(place, len(members))
         new = torch.arange(count, count + len(torch.unique(group)))
         parent[members], of_joint[near], level[new] = count + group, count + group[place[0]], number
@@ -84,7 +84,7 @@ def _joined(pieces: Tensor, distance: Tensor, count: int) -> tuple[Tensor, Tenso
 
 
 def summed_up(values: Tensor, parent: Tensor, level: Tensor, reduce: str = "sum") -> Tensor:
-    """The values [M, C] of pieces, and of each other node the sum (or "amin") of its parts' values."""
+    """The values [M, C] of superpoints, and of each other node the sum (or "amin") of its parts' values."""
     for number in range(1, len(LEVELS)):
         parts = torch.nonzero(parent >= 0).squeeze(1)
         parts = parts[level[parent[parts]] == number]
@@ -93,11 +93,11 @@ def summed_up(values: Tensor, parent: Tensor, level: Tensor, reduce: str = "sum"
     return values
 
 
-def _shapes(points: Tensor, height: Tensor, piece: Tensor, parent: Tensor, level: Tensor) -> dict[str, Tensor]:
+def _shapes(points: Tensor, height: Tensor, superpoint: Tensor, parent: Tensor, level: Tensor) -> dict[str, Tensor]:
     """SHAPE of all nodes, each [M], and where their middles are."""
     x, y, _ = points.unbind(1)
     distance = points.norm(dim=1)
-    row = piece[:, None]
+    row = superpoint[:, None]
     columns = torch.stack([torch.ones_like(x), x, y, x * x, x * y, y * y, height, height * height, distance], dim=1)
     sums = torch.zeros(len(parent), columns.shape[1], dtype=torch.float64)
     sums = summed_up(sums.scatter_add_(0, row.expand_as(columns), columns), parent, level)
@@ -132,7 +132,7 @@ def _shapes(points: Tensor, height: Tensor, piece: Tensor, parent: Tensor, level
 
 
 def _joints(points: Tensor, height: Tensor, distance: Tensor, of_joint: Tensor, count: int) -> dict[str, Tensor]:
-    """What joins the parts of nodes, each [M]; of pieces it has no meaning.
+    """What joins the parts of nodes, each [M]; of superpoints it has no meaning.
 
     Args:
         points: [2, E, 3] metres, the two ends of each joint.

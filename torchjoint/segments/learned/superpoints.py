@@ -1,7 +1,7 @@
-"""Step 6, method learned: groups a cloud into pieces, and measures the edges between them, once.
+"""Step 6, method learned: groups a cloud into superpoints, and measures the edges between them, once.
 
-The points are first grouped into small pieces, which are never split again. Only edges between two pieces can be part
-of a boundary, so only these are measured.
+The points are first grouped into small superpoints, which are never split again. Only edges between two superpoints can
+be part of a boundary, so only these are measured.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from torchjoint.images.segmenter import brightened
 from torchjoint.runtime.memory import give_back
 from torchjoint.runtime.threads import all_threads
 from torchjoint.segments.learned.boundaries import Boundaries
-from torchjoint.segments.learned.images import image_colors, segments_of_pieces, without_dropouts
+from torchjoint.segments.learned.images import image_colors, segments_of_superpoints, without_dropouts
 from torchjoint.segments.learned.masks import cut_by_masks
 from torchjoint.segments.learned.occluded_surfaces import find_occlusions
-from torchjoint.segments.learned.piece_graph import MANY_POINTS, PieceGraph, masks_of_pieces, pairs_of
 from torchjoint.segments.learned.region_statistics import InnerEdges, Surface, statistics_of_points
+from torchjoint.segments.learned.superpoint_graph import MANY_POINTS, SuperpointGraph, masks_of_superpoints, pairs_of
 from torchjoint.segments.planes import (
     SMOOTH_REGIONS,
     Planes,
@@ -39,8 +39,8 @@ from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
 from torchjoint.views.propagation import disagreement
 
-# The model was trained on boundaries between pieces made with these numbers. With other numbers its probabilities would
-# be wrong, so they are not parameters of the config.
+# The model was trained on boundaries between superpoints made with these numbers. With other numbers its probabilities
+# would be wrong, so they are not parameters of the config.
 
 #: Factor on the cost of a crease where the surface is convex.
 CONVEX_FACTOR = 0.05
@@ -58,9 +58,9 @@ LARGE_COLOR_STEP = 6
 #: camera; first for the costs of edges, then for the model.
 SMALLEST_MEDIAN = 1.0
 SMALLEST_TYPICAL = 0.5
-#: Mean boundary cost up to which points merge into pieces.
+#: Mean boundary cost up to which points merge into superpoints.
 THRESHOLD = 0.05
-#: Smallest piece, points.
+#: Smallest superpoint, points.
 MIN_SIZE = 8
 #: Right angles in one radian.
 RIGHT_ANGLES = 2 / math.pi
@@ -88,10 +88,10 @@ def measure_colors(graph: PointGraph, observations: Observations) -> Colors:
     return Colors(lab, step, float(known.median()) if len(known) else 0.0)
 
 
-def build_piece_graph(
+def build_superpoint_graph(
     graph: PointGraph, scales: Scales, evidence: Evidence, colors: Colors | None = None
-) -> PieceGraph:
-    """Groups the points into pieces, and measures the edges between the pieces.
+) -> SuperpointGraph:
+    """Groups the points into superpoints, and measures the edges between the superpoints.
 
     Args:
         graph: the point graph.
@@ -109,9 +109,9 @@ def build_piece_graph(
     cost = _edge_costs(crease_costs(graph.edge_index, planes, oriented, CONVEX_FACTOR), r, color_step, median)
     with all_threads():
         size = torch.ones(graph.num_points, dtype=torch.int64)
-        piece = ops.merge_regions(graph.edge_index, cost, size, THRESHOLD, MIN_SIZE)
-    piece = cut_by_masks(piece, graph.edge_index, seen)
-    across, pairs, pair = pairs_of(piece, graph.edge_index)
+        superpoint = ops.merge_regions(graph.edge_index, cost, size, THRESHOLD, MIN_SIZE)
+    superpoint = cut_by_masks(superpoint, graph.edge_index, seen)
+    across, pairs, pair = pairs_of(superpoint, graph.edge_index)
     measures = _geometry(graph, graph.edge_index[:, across], normals, oriented, planes, scales)
     if graph.num_points > MANY_POINTS:
         give_back()  # many blocks are free now
@@ -124,29 +124,29 @@ def build_piece_graph(
         measures |= {"seen": views > 0, "views": views}
     boundaries = Boundaries.of(pair, pairs.shape[1], measures)
     surface = Surface(graph.points, planes.normal, oriented, scales.noise, scales.spacing, lab)
-    inner = _inner_edges(piece, graph.edge_index, normals, oriented, color_step)
-    statistics = statistics_of_points(piece, surface, inner)
-    return PieceGraph(
-        piece,
+    inner = _inner_edges(superpoint, graph.edge_index, normals, oriented, color_step)
+    statistics = statistics_of_points(superpoint, surface, inner)
+    return SuperpointGraph(
+        superpoint,
         pairs,
         boundaries,
         statistics,
         None if median is None else max(median, SMALLEST_TYPICAL),
-        segments_of_pieces(piece, observations) if observations else None,
-        masks_of_pieces(piece, seen),
-        find_occlusions(piece, statistics, graph.points, scales, observations) if observations else None,
+        segments_of_superpoints(superpoint, observations) if observations else None,
+        masks_of_superpoints(superpoint, seen),
+        find_occlusions(superpoint, statistics, graph.points, scales, observations) if observations else None,
     )
 
 
 def _inner_edges(
-    piece: Tensor, edge_index: Tensor, normals: Tensor, oriented: Tensor, color_step: Tensor | None
+    superpoint: Tensor, edge_index: Tensor, normals: Tensor, oriented: Tensor, color_step: Tensor | None
 ) -> InnerEdges:
-    """The edges inside the pieces [N], with the angles between normals [N, 3], and colour steps [E]."""
+    """The edges inside the superpoints [N], with the angles between normals [N, 3], and colour steps [E]."""
     i, j = edge_index
-    inner = torch.nonzero(piece[i] == piece[j]).squeeze(1)
+    inner = torch.nonzero(superpoint[i] == superpoint[j]).squeeze(1)
     i, j = i[inner], j[inner]
     turn = angle_between(rows_of(normals, i), rows_of(normals, j), oriented[i] & oriented[j])
-    return InnerEdges(piece[i], turn * RIGHT_ANGLES, None if color_step is None else color_step[inner])
+    return InnerEdges(superpoint[i], turn * RIGHT_ANGLES, None if color_step is None else color_step[inner])
 
 
 def _edge_costs(crease: Tensor, r: Tensor | None, color_step: Tensor | None, median: float | None) -> Tensor:

@@ -1,4 +1,4 @@
-"""Pieces that reach over the outlines of masks are cut there, before anything is judged."""
+"""Superpoints that reach over the outlines of masks are cut there, before anything is judged."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 import torchjoint as tj
 from torchjoint.scene import Masks
-from torchjoint.segments.learned import masks as mask_pieces
+from torchjoint.segments.learned import masks as mask_superpoints
 from torchjoint.segments.learned.masks import cut_by_masks
 from torchjoint.views.observations import Observation
 
@@ -24,10 +24,10 @@ SMALL = [[False, False, True, True, False, False]]  # and nothing else
 def cut(seen):
     """Six points in a chain, each in a pixel of its own, in frames with masks."""
 
-    def pieces(piece: list[int], frames: list[list[list[bool]]], edges: Tensor = CHAIN) -> list[int]:
-        return cut_by_masks(torch.tensor(piece), edges, [with_masks(seen, stack) for stack in frames]).tolist()
+    def superpoints(superpoint: list[int], frames: list[list[list[bool]]], edges: Tensor = CHAIN) -> list[int]:
+        return cut_by_masks(torch.tensor(superpoint), edges, [with_masks(seen, stack) for stack in frames]).tolist()
 
-    return pieces
+    return superpoints
 
 
 def with_masks(seen, stack: list[list[bool]]) -> Observation:
@@ -35,12 +35,12 @@ def with_masks(seen, stack: list[list[bool]]) -> Observation:
     return replace(seen(range(6), range(6)), labels=masks.atom, masks=masks)
 
 
-def test_a_piece_is_cut_where_masks_end(cut) -> None:
+def test_a_superpoint_is_cut_where_masks_end(cut) -> None:
     assert cut([0] * 6, [HALVES]) == [0, 0, 0, 1, 1, 1]
     assert cut([0] * 6, [SMALL]) == [0, 0, 1, 1, 2, 2]  # parts without masks that do not touch
 
 
-def test_only_mixed_pieces_are_cut_and_only_inside(cut) -> None:
+def test_only_mixed_superpoints_are_cut_and_only_inside(cut) -> None:
     assert cut([0, 0, 0, 1, 1, 1], [HALVES]) == [0, 0, 0, 1, 1, 1]
     assert cut([0, 0, 1, 1, 1, 1], [HALVES]) == [0, 0, 1, 2, 2, 2]
     # Points 2 and 3 lie in one mask, but not in one piece.
@@ -59,24 +59,24 @@ def test_most_frames_decide(cut) -> None:
 def test_points_that_no_frame_sees_stay_with_their_neighbours(seen) -> None:
     masks = Masks.from_stack(torch.tensor([[[True, True, False, False]], [[False, False, True, True]]]))
     frame = replace(seen([0, 1, 4, 5], [0, 0, 1, 1]), labels=masks.atom, masks=masks)
-    piece = cut_by_masks(torch.zeros(6, dtype=torch.int64), CHAIN, [frame]).tolist()
-    assert piece[0] == piece[1] != piece[4] == piece[5]
-    assert set(piece) == {0, 1}
+    superpoint = cut_by_masks(torch.zeros(6, dtype=torch.int64), CHAIN, [frame]).tolist()
+    assert superpoint[0] == superpoint[1] != superpoint[4] == superpoint[5]
+    assert set(superpoint) == {0, 1}
 
 
-def test_only_the_frames_that_see_most_of_a_piece_count(cut, monkeypatch) -> None:
-    monkeypatch.setattr(mask_pieces, "MAX_FRAMES", 2)
+def test_only_the_frames_that_see_most_of_a_superpoint_count(cut, monkeypatch) -> None:
+    monkeypatch.setattr(mask_superpoints, "MAX_FRAMES", 2)
     # All frames see as many points, so the first two count.
     assert cut([0] * 6, [HALVES] * 2 + [[WHOLE]] * 7) == [0, 0, 0, 1, 1, 1]
     assert cut([0] * 6, [[WHOLE]] * 2 + [HALVES]) == [0] * 6
-    in_frame = torch.tensor([[0, 0, 0, 1, 1], [0, 1, 2, 1, 2], [3, 5, 4, 1, 1]])  # pieces, frames, points
-    most = mask_pieces._frames_that_see_most(in_frame, 3, 3)
+    in_frame = torch.tensor([[0, 0, 0, 1, 1], [0, 1, 2, 1, 2], [3, 5, 4, 1, 1]])  # superpoints, frames, points
+    most = mask_superpoints._frames_that_see_most(in_frame, 3, 3)
     assert most.tolist() == [[False, False, False], [True, True, False], [True, True, False]]
 
 
 def test_without_masks_nothing_changes(seen) -> None:
-    piece = torch.tensor([0, 0, 0, 1, 1, 1])
-    assert cut_by_masks(piece, CHAIN, [seen(range(6), range(6))]) is piece
+    superpoint = torch.tensor([0, 0, 0, 1, 1, 1])
+    assert cut_by_masks(superpoint, CHAIN, [seen(range(6), range(6))]) is superpoint
 
 
 def test_a_thing_of_few_points_on_a_wall_is_found() -> None:

@@ -1,4 +1,4 @@
-"""Step 6, method learned: the pieces of a cloud, and what a model judges the boundaries between them by."""
+"""Step 6, method learned: the superpoints of a cloud, and what a model judges the boundaries between them by."""
 
 from __future__ import annotations
 
@@ -27,26 +27,28 @@ MANY_POINTS = 400_000
 
 
 class MaskCounts(NamedTuple):
-    """How many points of each piece lie in each mask. All M masks of all frames are numbered together."""
+    """How many points of each superpoint lie in each mask. All M masks of all frames are numbered together."""
 
-    in_mask: Tensor  #: [3, I] int64: piece, mask, number of points
-    in_frame: Tensor  #: [3, J] int64: piece, frame, number of points that the frame sees
+    in_mask: Tensor  #: [3, I] int64: superpoint, mask, number of points
+    in_frame: Tensor  #: [3, J] int64: superpoint, frame, number of points that the frame sees
     weight: Tensor  #: [M] int64, score of each mask in units of 1 / WEIGHT_UNIT
     frame_of_mask: Tensor  #: [M] int64, the frame of each mask; some frames may have no masks
 
-    def of_regions(self, of_piece: Tensor) -> tuple[Tensor, Tensor]:
-        """`in_mask` and `in_frame` of regions instead of pieces; `of_piece` is the region of each piece, [P] int64."""
-        (piece, mask, in_mask), (seen_piece, frame, in_frame) = self.in_mask, self.in_frame
-        return counted(of_piece[piece], mask, in_mask), counted(of_piece[seen_piece], frame, in_frame)
+    def of_regions(self, of_superpoint: Tensor) -> tuple[Tensor, Tensor]:
+        """`in_mask` and `in_frame` of regions instead of superpoints; `of_superpoint` [P] int64: the region of each."""
+        (superpoint, mask, in_mask), (seen_superpoint, frame, in_frame) = self.in_mask, self.in_frame
+        return counted(of_superpoint[superpoint], mask, in_mask), counted(
+            of_superpoint[seen_superpoint], frame, in_frame
+        )
 
 
-def masks_of_pieces(
-    piece: Tensor, observations: Sequence[Observation], is_counted: Callable[[int, Tensor], Tensor] | None = None
+def masks_of_superpoints(
+    superpoint: Tensor, observations: Sequence[Observation], is_counted: Callable[[int, Tensor], Tensor] | None = None
 ) -> MaskCounts | None:
-    """Counts the visible points of each piece in each mask.
+    """Counts the visible points of each superpoint in each mask.
 
     Args:
-        piece: [N] int64, piece of each point.
+        superpoint: [N] int64, superpoint of each point.
         observations: the frames; those without masks do not count.
         is_counted: (number of a frame, its visible points [V]) -> which of them count, [V] bool; None: all count.
 
@@ -59,7 +61,7 @@ def masks_of_pieces(
         if seen.masks is None:
             return None
         chosen = slice(None) if is_counted is None else is_counted(frame, seen.visible.point)
-        return _count(piece, seen.visible, seen.masks, frame, chosen)
+        return _count(superpoint, seen.visible, seen.masks, frame, chosen)
 
     tables = [one for one in parallel_map(count, range(len(observations))) if one is not None]
     if not tables:
@@ -80,12 +82,12 @@ def masks_of_pieces(
 
 
 def _count(
-    piece: Tensor, visible: Visible, masks: Masks, frame: int, chosen: Tensor | slice
+    superpoint: Tensor, visible: Visible, masks: Masks, frame: int, chosen: Tensor | slice
 ) -> tuple[Tensor, Tensor, Tensor, int]:
-    """For one frame: rows (piece, mask, points); rows (piece, frame, visible points); scores of masks; its number."""
-    there = piece[visible.point[chosen]]
-    of_piece, num_seen = torch.unique(there, return_counts=True)
-    in_frame = torch.stack([of_piece, torch.full_like(of_piece, frame), num_seen])
+    """For one frame: rows (superpoint, mask, points); rows (superpoint, frame, visible points); scores; its number."""
+    there = superpoint[visible.point[chosen]]
+    of_superpoint, num_seen = torch.unique(there, return_counts=True)
+    in_frame = torch.stack([of_superpoint, torch.full_like(of_superpoint, frame), num_seen])
     atom = masks.atom[visible.row[chosen], visible.column[chosen]].long()
     key, count = torch.unique(there * masks.num_atoms + atom, return_counts=True)
     # Each atom counts for all masks in which it lies.
@@ -103,21 +105,21 @@ def counted(region: Tensor, key: Tensor, count: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class PieceGraph:
-    """What is known about a cloud, its pieces, and the boundaries between them.
+class SuperpointGraph:
+    """What is known about a cloud, its superpoints, and the boundaries between them.
 
     Attributes:
-        piece: [N] int64, piece of each point, 0 ... P - 1, numbered by first appearance.
-        pairs: [2, Q] int64, the pairs of pieces a < b that edges connect, in ascending order.
-        boundaries: what is known about the edges between the pieces of each pair.
-        statistics: statistics of the pieces' points.
+        superpoint: [N] int64, superpoint of each point, 0 ... P - 1, numbered by first appearance.
+        pairs: [2, Q] int64, the pairs of superpoints a < b that edges connect, in ascending order.
+        boundaries: what is known about the edges between the superpoints of each pair.
+        statistics: statistics of the superpoints' points.
         typical_color_step: median colour step of all edges, units of Lab; None without colours.
         images: counts of points in image segments; None without images, or if all images have masks.
         masks: counts of points in masks; None without masks.
-        occlusions: pairs of pieces on two sides of an occluder in the images; None as for `images`.
+        occlusions: pairs of superpoints on two sides of an occluder in the images; None as for `images`.
     """
 
-    piece: Tensor
+    superpoint: Tensor
     pairs: Tensor
     boundaries: Boundaries
     statistics: RegionStatistics
@@ -127,25 +129,25 @@ class PieceGraph:
     occlusions: Occlusions | None = None
 
     def __len__(self) -> int:
-        """P, the number of pieces."""
+        """P, the number of superpoints."""
         return len(self.statistics.size)
 
-    def without_measures(self) -> PieceGraph:
+    def without_measures(self) -> SuperpointGraph:
         """The same, of whose boundaries only the averages are known: they take a tenth of the memory."""
         return replace(self, boundaries=self.boundaries._replace(binned={}))
 
-    def grouped(self, *groups: Tensor) -> PieceGraph:
-        """Disjoint copies of the same with groups of pieces as pieces, each of which is its only point; without masks.
+    def grouped(self, *groups: Tensor) -> SuperpointGraph:
+        """Disjoint copies of the same, whose superpoints are groups of these, each its only point; without masks.
 
         Args:
-            groups: for each copy [P] int64, group of each piece, 0 ... G - 1, numbered by first appearance. The pieces
-                of each copy follow those of the copy before it.
+            groups: for each copy [P] int64, group of each superpoint, 0 ... G - 1, numbered by first appearance. The
+                superpoints of each copy follow those of the copy before it.
         """
-        *starts, num_pieces = accumulate((int(group.max()) + 1 for group in groups), initial=0)
+        *starts, num_superpoints = accumulate((int(group.max()) + 1 for group in groups), initial=0)
         across, pairs, of_pair = zip(*(pairs_of(group, self.pairs) for group in groups), strict=True)
         images, occlusions = self.images, self.occlusions
-        return PieceGraph(
-            torch.arange(num_pieces),
+        return SuperpointGraph(
+            torch.arange(num_superpoints),
             torch.cat([ends + start for ends, start in zip(pairs, starts, strict=True)], 1),
             self.boundaries.grouped(across, of_pair, [ends.shape[1] for ends in pairs]),
             RegionStatistics.union([pooled(self.statistics, group, int(group.max()) + 1) for group in groups]),
@@ -156,11 +158,13 @@ class PieceGraph:
         )
 
 
-def pairs_of(piece: Tensor, edge_index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The C edges across pieces [N]; the Q pairs of pieces [2, Q], ascending; the pair [C] of each of these edges."""
+def pairs_of(superpoint: Tensor, edge_index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The C edges across superpoints [N]; the Q pairs of superpoints [2, Q], ascending; the pair [C] of each edge."""
     blocks = enumerate(edge_index.split(EDGES, 1))  # less memory than all edges at once
-    across = torch.cat([torch.nonzero(piece[i] != piece[j]).squeeze(1) + EDGES * block for block, (i, j) in blocks])
-    (first, second), num_pieces = piece[edge_index[:, across]], int(piece.max()) + 1
-    key = torch.minimum(first, second) * num_pieces + torch.maximum(first, second)
+    across = torch.cat(
+        [torch.nonzero(superpoint[i] != superpoint[j]).squeeze(1) + EDGES * block for block, (i, j) in blocks]
+    )
+    (first, second), num_superpoints = superpoint[edge_index[:, across]], int(superpoint.max()) + 1
+    key = torch.minimum(first, second) * num_superpoints + torch.maximum(first, second)
     key, pair = torch.unique(key, return_inverse=True)
-    return across, torch.stack([key // num_pieces, key % num_pieces]), pair
+    return across, torch.stack([key // num_superpoints, key % num_superpoints]), pair
