@@ -173,6 +173,7 @@ class Poses:
     def __init__(self, bag: Bag, limit: float) -> None:
         self.bag, self.limit = bag, limit
         self._parents: dict[str, str] = {}
+        self._all_parents: dict[str, set[str]] = {}
         self._rows: dict[str, dict[float, list[float]]] = {}
         self._fixed: dict[str, bool] = {}
         for topic in bag.topics(*TF):
@@ -197,6 +198,11 @@ class Poses:
         wanted = np.array(times, np.float64)
         poses: list[Tensor | None] = [torch.eye(4, dtype=torch.float64) for _ in times]
         for one in self._chain(frame):
+            if len(several := self._all_parents[one]) > 1:
+                raise ValueError(
+                    f"{self.bag.path}: expected one parent of frame {one!r} in tf, got {', '.join(sorted(several))}; "
+                    "--topics odometry=TOPIC takes other poses"
+                )
             rows = np.array([self._rows[one][time] for time in sorted(self._rows[one])])
             limit = np.inf if self._fixed[one] else self.limit
             step = interpolate_poses(rows, wanted, limit, f"{self.bag.path}: transform of {one}")
@@ -218,6 +224,7 @@ class Poses:
             warnings.warn(f"{self.bag.path}: the poses of {topic} are taken as those of frame {body}", stacklevel=4)
         for child in set(children):
             self._rows.pop(child, None)
+            self._all_parents.pop(child, None)
         for child, message in zip(children, messages, strict=True):
             transform = message.transform if hasattr(message, "transform") else message.pose
             self._add(message.header, child, getattr(transform, "pose", transform), False)
@@ -241,5 +248,6 @@ class Poses:
         if not np.isfinite(row).all():
             raise ValueError(f"{self.bag.path}: expected finite transforms of frame {child}, got {row}")
         self._parents[child] = header.frame_id.lstrip("/")
+        self._all_parents.setdefault(child, set()).add(self._parents[child])
         self._fixed[child] = fixed
         self._rows.setdefault(child, {}).setdefault(time, row)
