@@ -98,6 +98,12 @@ def has_region(message: Any) -> bool:
     return min(message.roi.height, message.roi.width) > 0
 
 
+def matrices_of(message: Any) -> list[list[float]]:
+    """The numbers K, P and D of a CameraInfo, whose names are capital in ROS 1."""
+    names = "kpd" if hasattr(message, "k") else "KPD"
+    return [np.asarray(getattr(message, name), np.float64).tolist() for name in names]
+
+
 def camera(message: Any, rectified: bool, name: str, image_size: tuple[int, int] | None = None) -> Camera:
     """The camera of a CameraInfo: K and the distortion, or P of rectified images.
 
@@ -107,9 +113,8 @@ def camera(message: Any, rectified: bool, name: str, image_size: tuple[int, int]
         name: for messages.
         image_size: (H, W) of an image; needed if there is a region of interest: some drivers send whole images with it.
     """
-    K = np.asarray(getattr(message, "k", None) if hasattr(message, "k") else message.K, np.float64).reshape(3, 3)
-    P = np.asarray(message.p if hasattr(message, "p") else message.P, np.float64).reshape(3, 4)
-    D = np.asarray(message.d if hasattr(message, "d") else message.D, np.float64)
+    K, P, D = map(np.array, matrices_of(message))
+    K, P = K.reshape(3, 3), P.reshape(3, 4)
     size = (int(message.height), int(message.width)) if message.height and message.width else None
     if has_region(message):
         part = (int(message.roi.height), int(message.roi.width))
