@@ -428,6 +428,14 @@ def test_poses_of_an_e57_with_numbers_in_another_order(tmp_path):
         read_cloud_file(e57_of(tmp_path / "b.e57", [(e57_fields(XYZ, E57_XYZ), pose)]))
 
 
+def test_an_e57_with_fewer_points_than_it_declares(tmp_path, monkeypatch):
+    """The rest would be what the memory held before."""
+    file = e57_of(tmp_path / "a.e57", [(e57_fields(XYZ, E57_XYZ), {})])
+    monkeypatch.setattr("pye57.scan_header.ScanHeader.point_count", COUNT + 1)
+    with pytest.raises(ValueError, match=rf"a\.e57: .*expected {COUNT + 1} points, got {COUNT}"):
+        read_cloud_file(file)
+
+
 def test_scans_of_a_recording_of_which_one_has_no_colours(tmp_path):
     import torchjoint as tj
 
