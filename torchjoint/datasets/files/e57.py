@@ -13,6 +13,7 @@ import struct
 import warnings
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
@@ -65,7 +66,7 @@ def read_e57(path: Path) -> CloudFile:
 
 def _check_xml(path: Path) -> None:
     """Checks the part in XML. The library would fetch what a document type names, also from the network."""
-    with open_file(path, "a point cloud, .e57") as stream, damage_is(f"{path}: not a whole E57 file"):
+    with open_file(path, "a point cloud, .e57") as stream, damage_is(f"{path}: not a whole E57 file", expat.ExpatError):
         at, size, page = struct.unpack("<24xQQQ", stream.read(48))
         bounds.check(size, min(path.stat().st_size, bounds.JSON_BYTES), "bytes of XML")
         if page != PAGE:
@@ -76,6 +77,19 @@ def _check_xml(path: Path) -> None:
         xml = b"".join(pages)[at % PAGE :][:size]
         if not xml.startswith((b"<", b"\xef\xbb\xbf<")) or _FOREIGN_XML.search(xml):
             raise ValueError("expected XML in UTF-8 without a document type")
+        _check_depth(xml)
+
+
+def _check_depth(xml: bytes) -> None:
+    parser, depth = expat.ParserCreate(), 0
+
+    def move(step: int) -> None:
+        nonlocal depth
+        bounds.check(depth := depth + step, bounds.NESTED, "XML elements in each other")
+
+    parser.StartElementHandler = lambda name, attributes: move(1)
+    parser.EndElementHandler = lambda name: move(-1)
+    parser.Parse(xml, True)
 
 
 def _check_counts(path: Path, counts: list[int]) -> None:
