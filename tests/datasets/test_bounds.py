@@ -201,6 +201,9 @@ class TestPackedPoints:
         monkeypatch.setattr(bounds, "FREE_POINTS", 5)
         with pytest.raises(ValueError, match=r"expected at most 5 points in \d+ bytes, got"):
             tj.load_scene(path)
+        monkeypatch.setattr(bounds, "NESTED", 3)
+        with pytest.raises(ValueError, match="expected at most 3 XML elements in each other, got 4"):
+            tj.load_scene(path)
 
 
 def test_channels_of_exr_that_nobody_wants(tmp_path, monkeypatch):

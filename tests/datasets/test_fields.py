@@ -367,6 +367,75 @@ def test_scans_of_an_e57(tmp_path, bare):
     assert ["1 of 2 scans have no colours (1), so" in str(one.message) for one in told] == [True] * (len(bare) == 1)
 
 
+def e57_of(path, scans):
+    """Writes scans, each of fields and the numbers of its pose, as other programs do: in any order, of any type."""
+    pye57 = pytest.importorskip("pye57")
+    kind = pye57.libe57
+    with pye57.E57(str(path), mode="w") as file:
+        image = file.image_file
+        for fields, pose in scans:
+            scan, columns, buffers = kind.StructureNode(image), kind.StructureNode(image), kind.VectorSourceDestBuffer()
+            poses = kind.StructureNode(image)
+            for part, numbers in pose.items():
+                node = kind.StructureNode(image)
+                for axis, number in numbers:
+                    node.set(axis, kind.FloatNode(image, number))
+                poses.set(part, node)
+            scan.set("pose", poses)
+            for name, values in fields.items():
+                columns.set(name, kind.FloatNode(image, 0.0, kind.E57_DOUBLE, -1e9, 1e9))
+                buffers.append(kind.SourceDestBuffer(image, name, values, COUNT, True, True))
+            points = kind.CompressedVectorNode(image, columns, kind.VectorNode(image, True))
+            scan.set("points", points)
+            file.data3d.append(scan)
+            if len(values):
+                writer = points.writer(buffers)
+                writer.write(COUNT)
+                writer.close()
+    return path
+
+
+def e57_fields(values, names):
+    return dict(zip(names, np.asarray(values, np.float64).T.copy(), strict=True))
+
+
+E57_XYZ, E57_RGB = ("cartesianX", "cartesianY", "cartesianZ"), ("colorRed", "colorGreen", "colorBlue")
+
+
+@pytest.mark.parametrize("full", [1, 255, 65535])
+def test_wide_colours_of_an_e57(tmp_path, full):
+    fields = e57_fields(XYZ, E57_XYZ) | e57_fields(RGB / 255 * full, E57_RGB)
+    none = {name: values[:0] for name, values in fields.items()}
+    made = read_cloud_file(e57_of(tmp_path / "a.e57", [(none, {}), (fields, {})]))
+    np.testing.assert_allclose(made.colors, RGB / 255, atol=1e-6)
+
+
+def test_invalid_colours_of_an_e57(tmp_path):
+    fields = e57_fields(XYZ, E57_XYZ) | e57_fields(np.where(np.arange(COUNT)[:, None], RGB, 0), E57_RGB)
+    fields["isColorInvalid"] = (np.arange(COUNT) == 0).astype(np.float64)
+    with pytest.warns(UserWarning, match=f"1 of {COUNT} colors are NaN"):
+        made = read_cloud_file(e57_of(tmp_path / "a.e57", [(fields, {})]))
+    assert (made.colors[1:] == made.colors[0]).all(1).any()
+
+
+def test_poses_of_an_e57_with_numbers_in_another_order(tmp_path):
+    pose = {"rotation": [("x", 0.0), ("y", 0.0), ("z", 1.0), ("w", 0.0)]}
+    pose["translation"] = [("z", 3.0), ("y", 2.0), ("x", 1.0)]
+    made = read_cloud_file(e57_of(tmp_path / "a.e57", [(e57_fields(XYZ, E57_XYZ), pose)]))
+    np.testing.assert_allclose(made.points, XYZ * (-1, -1, 1) + (1, 2, 3), atol=1e-6)
+    pose["rotation"] = [(axis, 0.0) for axis in "wxyz"]
+    with pytest.raises(ValueError, match=r"b\.e57: .*expected unit quaternions"):
+        read_cloud_file(e57_of(tmp_path / "b.e57", [(e57_fields(XYZ, E57_XYZ), pose)]))
+
+
+def test_an_e57_with_fewer_points_than_it_declares(tmp_path, monkeypatch):
+    """The rest would be what the memory held before."""
+    file = e57_of(tmp_path / "a.e57", [(e57_fields(XYZ, E57_XYZ), {})])
+    monkeypatch.setattr("pye57.scan_header.ScanHeader.point_count", COUNT + 1)
+    with pytest.raises(ValueError, match=rf"a\.e57: .*expected {COUNT + 1} points, got {COUNT}"):
+        read_cloud_file(file)
+
+
 def test_scans_of_a_recording_of_which_one_has_no_colours(tmp_path):
     import torchjoint as tj
 

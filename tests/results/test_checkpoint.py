@@ -8,6 +8,7 @@ import torch
 import torchjoint as tj
 from torchjoint.results import checkpoint as module
 from torchjoint.results.checkpoint import Checkpoint, run_key
+from torchjoint.runtime.store import read_values, write_values
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +46,17 @@ def test_every_flipped_bit_is_noticed(tmp_path, segmenter):
                 assert checkpoint.load() is None
         file.write_bytes(whole)
     assert checkpoint.load() is not None
+
+
+@pytest.mark.parametrize("change", [{"name": 5}, {"row": "uint8"}])
+def test_an_observation_with_values_of_other_types(tmp_path, segmenter, change):
+    checkpoint, file = saved(tmp_path / "state", segmenter), tmp_path / "state" / "observation-000000.pt"
+    values = read_values(file)
+    if "row" in change:
+        values["parts"]["row"]["dtype"] = change["row"]
+    write_values(file, values | {key: value for key, value in change.items() if key == "name"})
+    with pytest.warns(UserWarning, match="state: damaged, starting again"):
+        assert checkpoint.load() is None
 
 
 def test_another_version_of_the_files_is_not_read(tmp_path, segmenter, monkeypatch):

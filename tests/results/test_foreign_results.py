@@ -178,6 +178,15 @@ class TestStates:
             segmenter.restore(tmp_path / "state")
         assert str(tmp_path / "state") in str(caught.value)
 
+    def test_settings_that_cannot_be_compared(self, tmp_path):
+        segmenter = tj.LiveSegmenter()
+        segmenter.save(tmp_path / "state")
+        values = read_values(tmp_path / "state")
+        values["settings"]["turn"] = torch.zeros(3)
+        write_values(tmp_path / "state", values)
+        with pytest.raises(ValueError, match="not a state of live segmentation"):
+            segmenter.restore(tmp_path / "state")
+
     @pytest.mark.parametrize(
         ("name", "change"),
         [("labels", {"shape": (3, 3)}), ("image", {"shape": (3, 10**4, 10**4)}), ("labels", {"low": -9})],

@@ -86,6 +86,7 @@ BOOLS = torch.zeros(2, 4, 6, dtype=torch.bool)
         ({"masks": BOOLS.float()}, TypeError, r"masks: expected dtype bool for a stack \[M, H, W\], got torch.float32"),
         ({"masks": BOOLS.byte()}, TypeError, r"masks: expected dtype bool for a stack \[M, H, W\], got torch.uint8"),
         ({"masks": torch.rand(4, 6)}, TypeError, "masks: expected an integer dtype, got torch.float32"),
+        ({"masks": BOOLS[:, :0]}, ValueError, "masks: expected at least one pixel, got 0 x 6"),
         ({"masks": BOOLS[None]}, ValueError, r"masks: expected shape \[M, H, W\], got \[1, 2, 4, 6\]"),
         (
             {"masks": BOOLS.tolist()},

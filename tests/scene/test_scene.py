@@ -91,6 +91,8 @@ def rotation_scaled(factor):
         ({"world_to_camera": rotation_scaled(-1)}, ValueError, r"expected a rigid transform.*det R = -1"),
         ({"depth": torch.ones(4, 4)}, ValueError, r"depth of frame 'f': expected shape \[48, 64\], got \[4, 4\]"),
         ({"labels": torch.ones(48, 64)}, TypeError, r"labels of frame 'f': expected an integer dtype"),
+        ({"name": 5}, TypeError, "name: expected a text, got 5"),
+        ({"depth": torch.ones(48, 64).to_sparse()}, TypeError, "depth of frame 'f': expected a dense tensor, got one"),
         ({"labels": torch.full((48, 64), -2)}, ValueError, r"labels of frame 'f': expected labels >= -1.*got -2"),
     ],
 )
@@ -108,6 +110,13 @@ def test_bad_frames(change, error, message):
         ({"points": torch.zeros(5, 3) / 0}, ValueError, "points: 5 of 5 points are NaN or infinite"),
         ({"points": [[0, 0, 0]]}, TypeError, "points: expected a torch.Tensor, got list"),
         ({"points": torch.zeros(5, 3).long()}, TypeError, "points: expected a floating dtype, got torch.int64"),
+        (
+            {"points": torch.zeros(5, 3).to_sparse()},
+            TypeError,
+            "points: expected a dense tensor, got one of torch.spar",
+        ),
+        ({"points": torch.zeros(5, 3) * 1j}, TypeError, "points: expected a floating dtype, got torch.complex64"),
+        ({"points": torch.zeros(5, 3, device="meta")}, ValueError, "points: expected a CPU tensor, got one on meta"),
         ({"points": torch.zeros(5, 3), "colors": torch.zeros(4, 3)}, ValueError, r"colors: expected shape \[5, 3\]"),
         (
             {"points": torch.full((5, 3), 5.4e13)},

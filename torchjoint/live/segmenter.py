@@ -385,9 +385,9 @@ class LiveSegmenter(nn.Module):
                 Then the segmenter stays as it was.
         """
         values = read_values(Path(path))
-        if values.get("settings") != self._settings():
-            raise ValueError(f"{path}: expected a state with {self._settings()}, got {values.get('settings')}")
         with damage_is(f"{path}: not a state of live segmentation"):
+            if values["settings"] != self._settings():
+                raise ValueError(f"expected a state with {self._settings()}, got {values['settings']}")
             origin, pose, compared = values["origin"], values["pose"], values["to_compare"]
             origin = None if origin is None else as_float(origin, "origin", torch.float64)
             check_shape(torch.zeros(3) if origin is None else origin, (3,), "origin")

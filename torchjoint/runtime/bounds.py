@@ -20,6 +20,8 @@ EDGE_ROWS = 1 << 26
 IMAGE_BYTES, EXIF_BYTES, TEXT_BYTES, JSON_BYTES, YAML_BYTES = 1 << 29, 1 << 16, 1 << 30, 1 << 28, 1 << 22
 #: Values of a JSON file: an empty list has two bytes there, and 64 in memory.
 JSON_VALUES = 1 << 24
+#: XML elements in each other: the library of E57 takes time with the square of it.
+NESTED = 1000
 #: Characters of a line of text.
 LINE = 1 << 24
 

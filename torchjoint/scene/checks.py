@@ -30,7 +30,7 @@ LARGEST_COORDINATE = 1e12
 
 def as_points(points: Tensor, name: str = "points") -> Tensor:
     """Checks a cloud: [N, 3], N >= 1, finite; returns it as float32, or as float64 if float32 would round it."""
-    if isinstance(points, Tensor) and points.ndim == 2 and not _is_finite(points):
+    if isinstance(points, Tensor) and points.ndim == 2 and _has_numbers(points) and not _is_finite(points):
         bad = int((~points.isfinite()).any(1).sum())
         others = f"{name}[{name}.isfinite().all(1)]"
         raise ValueError(f"{name}: {bad} of {len(points)} points are NaN or infinite; {others} are the others")
@@ -195,10 +195,17 @@ def as_float(value: Tensor, name: str, dtype: torch.dtype) -> Tensor:
         raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
     if not value.dtype.is_floating_point:
         raise TypeError(f"{name}: expected a floating dtype, got {value.dtype}")
+    if value.layout != torch.strided:
+        raise TypeError(f"{name}: expected a dense tensor, got one of {value.layout}")
     if not _is_finite(value):
         count = int((~torch.isfinite(value)).sum())
         raise ValueError(f"{name}: expected finite values, got {count} NaN or infinite of {value.numel()}")
-    return value.detach().to(dtype)
+    return value.detach().resolve_neg().to(dtype)
+
+
+def _has_numbers(value: Tensor) -> bool:
+    """Whether a tensor has real numbers in memory, which can be looked at."""
+    return value.device.type == "cpu" and value.layout == torch.strided and value.dtype.is_floating_point
 
 
 def _is_finite(value: Tensor) -> bool:

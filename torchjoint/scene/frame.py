@@ -93,6 +93,8 @@ class Frame:
             if isinstance(value, np.ndarray):
                 value = np.moveaxis(value, 2, 0) if spec.name == "image" and value.shape[2:] in ((1,), (3,)) else value
                 set_(spec.name, as_tensor(value, self._called(spec.name)))
+        if not isinstance(self.name, str):
+            raise TypeError(f"name: expected a text, got {self.name!r}")
         set_("image", as_image(self.image, self._called("image")))
         set_("intrinsics", as_intrinsics(self.intrinsics, self._called("intrinsics")))
         set_("world_to_camera", as_pose(self.world_to_camera, self._called("world_to_camera")))

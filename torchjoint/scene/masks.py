@@ -225,6 +225,8 @@ class Masks:
         if size == self.size:
             return self
         (height, width), (own_height, own_width) = size, self.size
+        if not self.atom.numel():
+            raise ValueError(f"masks: expected at least one pixel, got {own_height} x {own_width}")
         if abs(own_height * width / height - own_width) > max(1, 0.02 * own_width):  # half of 15 pixels may be 7
             warnings.warn(
                 f"masks: {own_height} x {own_width} pixels for an image of {height} x {width}: other aspect ratio; "

@@ -96,7 +96,11 @@ class Observation:
             "boundary": (self.boundary, 0, 256, (height, width)),
             "lines": (self.lines, 0, num_points, (2, self.lines.shape[-1])),
         }
+        if not isinstance(self.name, str):
+            raise TypeError(f"name: expected a text, got {self.name!r}")
         for name, (values, low, end, shape) in ranges.items():
+            if (values.dtype == torch.uint8) != (name in ("image", "boundary")):  # as an index, 8 bits are a mask
+                raise TypeError(f"{name} of {self.name!r}: got values of {values.dtype}")
             if values.shape != shape or (values.numel() and not low <= int(values.min()) <= int(values.max()) < end):
                 raise ValueError(f"{name} of {self.name!r}: expected {list(shape)} in [{low}, {end}), got other values")
 

@@ -128,6 +128,25 @@ def test_a_camera_without_poses_does_not_stand_still(tmp_path):
         tj.load_scene(bag, voxel_size=0.1)
 
 
+def test_a_camera_that_zooms_is_told(tmp_path):
+    messages = list(ros.messages())
+    [one for topic, _, one in messages if topic == "/camera/camera_info"][1].k[0] = 24.0
+    with pytest.warns(UserWarning, match="/camera/camera_info: 1 of 2 messages have another camera than the first"):
+        tj.load_scene(ros.record(tmp_path / "walk", messages), voxel_size=0.1)
+
+
+def test_two_parents_of_one_frame_are_no_tree(tmp_path):
+    """Their poses would be taken for those of one world."""
+    other = [("/tf", 0.1 * index, ros.transforms(0.1 * index + 0.001, "map", "base", (9, 0, 0))) for index in range(2)]
+    bag = ros.record(tmp_path / "walk", [*ros.messages(), *other])
+    with pytest.raises(ValueError, match=r"one parent of frame 'base' in tf, got map, odom; --topics odometry"):
+        tj.load_scene(bag, voxel_size=0.1)
+    right = [("/pose", 0.1 * i, ros.transforms(0.1 * i, "odom", "base", (i, 0, 0)).transforms[0]) for i in range(2)]
+    bag = ros.record(tmp_path / "posed", [*ros.messages(), *other, *right])
+    frames = tj.load_scene(bag, voxel_size=0.1, topics={"odometry": "/pose"}).frames
+    assert [round(-frame.world_to_camera[0, 3].item(), 2) for frame in frames] == [0.04, 1]
+
+
 def test_scans_of_another_tree_have_no_place(tmp_path):
     points = [("/points", 0.0, ros_points.cloud(0.0, np.asarray(wall())))]
     points[0][2].header.frame_id = "lidar"

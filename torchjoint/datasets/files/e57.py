@@ -1,7 +1,8 @@
 """Reads E57 files (ASTM E2807) with pye57 and libE57Format: the points of all scans, in the file's world frame.
 
 Scans are moved by their poses. What the scanner marks as invalid, and beams without return, is left out. Colours are
-scaled by the limits in the file; there are none if any scan lacks them. The library verifies the checksum of each page.
+scaled by the limits in the file; there are none if any scan lacks them. Those that are marked as invalid are taken from
+the nearest points. The library verifies the checksum of each page.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ import struct
 import warnings
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
+from torchjoint.datasets.cameras import poses_from_quaternions
 from torchjoint.datasets.files.columns import CloudFile, tell_not_read
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
@@ -29,7 +32,9 @@ PAGE = 1024
 #: A document type, or another encoding, in which one could hide.
 _FOREIGN_XML = re.compile(rb"<!(DOCTYPE|ENTITY)|\0|\A[^>]*encoding\s*=\s*.(?!utf-8)", re.I)
 _XYZ = ("cartesianX", "cartesianY", "cartesianZ")
+_SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
+_READ = (*_XYZ, *_SPHERICAL, *_RGB, "cartesianInvalidState", "sphericalInvalidState", "isColorInvalid")
 _KNOWN = re.compile("cartesian|spherical|color|isColor|isIntensity|isTimeStamp|intensity|row|column|return|timeStamp")
 
 Array = npt.NDArray[Any]
@@ -61,7 +66,7 @@ def read_e57(path: Path) -> CloudFile:
 
 def _check_xml(path: Path) -> None:
     """Checks the part in XML. The library would fetch what a document type names, also from the network."""
-    with open_file(path, "a point cloud, .e57") as stream, damage_is(f"{path}: not a whole E57 file"):
+    with open_file(path, "a point cloud, .e57") as stream, damage_is(f"{path}: not a whole E57 file", expat.ExpatError):
         at, size, page = struct.unpack("<24xQQQ", stream.read(48))
         bounds.check(size, min(path.stat().st_size, bounds.JSON_BYTES), "bytes of XML")
         if page != PAGE:
@@ -72,6 +77,19 @@ def _check_xml(path: Path) -> None:
         xml = b"".join(pages)[at % PAGE :][:size]
         if not xml.startswith((b"<", b"\xef\xbb\xbf<")) or _FOREIGN_XML.search(xml):
             raise ValueError("expected XML in UTF-8 without a document type")
+        _check_depth(xml)
+
+
+def _check_depth(xml: bytes) -> None:
+    parser, depth = expat.ParserCreate(), 0
+
+    def move(step: int) -> None:
+        nonlocal depth
+        bounds.check(depth := depth + step, bounds.NESTED, "XML elements in each other")
+
+    parser.StartElementHandler = lambda name, attributes: move(1)
+    parser.EndElementHandler = lambda name: move(-1)
+    parser.Parse(xml, True)
 
 
 def _check_counts(path: Path, counts: list[int]) -> None:
@@ -82,20 +100,55 @@ def _check_counts(path: Path, counts: list[int]) -> None:
 
 def _scan(file: Any, index: int, name: str) -> tuple[Array, Array | None]:
     """The valid points of a scan, and their colours; warnings begin with `name`."""
-    data = file.read_scan(index, colors=True, ignore_missing_fields=True)
-    xyz = np.stack([np.asarray(data[name], np.float64) for name in _XYZ], axis=1)
     header = file.get_header(index)
+    if not header.point_count:
+        return np.empty((0, 3)), np.empty((0, 3), np.float32)
     tell_not_read([field for field in header.point_fields if not _KNOWN.match(field)], name)
-    sensor = header.translation if header.has_pose() else np.zeros(3)
-    kept = kept_points(torch.from_numpy(xyz - sensor), name, "keep", "drop many").numpy()
-    xyz, data = xyz[kept], {field: values[kept] for field, values in data.items()}
+    data = _fields(file, header)
+    if set(_XYZ) <= set(data):
+        own, xyz = "cartesianInvalidState", np.stack([data[field] for field in _XYZ], axis=1)
+    else:
+        own, (far, azimuth, elevation) = "sphericalInvalidState", (data[field] for field in _SPHERICAL)
+        flat = far * np.cos(elevation)
+        xyz = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), far * np.sin(elevation)], axis=1)
+    kept = data.get(own, np.zeros(len(xyz))) == 0
+    kept[kept] = kept_points(torch.from_numpy(xyz[kept]), name, "keep", "drop many").numpy()
+    turned, sensor = _pose(header)
+    xyz, data = xyz[kept] @ turned.T + sensor, {field: values[kept] for field, values in data.items()}
     if any(field not in data for field in _RGB):
         return xyz, None
     low, high = (np.array([_limit(header, name, end) for name in _RGB]) for end in ("Minimum", "Maximum"))
-    rgb = np.stack([np.asarray(data[name], np.float64) for name in _RGB], axis=1)
-    if not (high > low).all() or (high.max() > 255 >= rgb.max(initial=0) > 1):  # no limits, or those of a wider type
-        low, high = np.zeros(3), np.full(3, full_brightness(float(rgb.max(initial=0)), 65535))
-    return xyz, ((rgb - low) / (high - low)).clip(0, 1).astype(np.float32)
+    rgb = np.stack([data[name] for name in _RGB], axis=1)
+    most = float(np.fmax.reduce(rgb, axis=None, initial=0))
+    if not (high > low).all() or (high.max() > 255 >= most > 1):  # no limits, or those of a wider type
+        low, high = np.zeros(3), np.full(3, full_brightness(most, 65535 if (rgb % 1 == 0).all() else None))
+    rgb = ((rgb - low) / (high - low)).clip(0, 1).astype(np.float32)
+    rgb[data.get("isColorInvalid", np.zeros(len(rgb))) != 0] = np.nan
+    return xyz, rgb
+
+
+def _fields(file: Any, header: Any) -> dict[str, Array]:
+    """What is read of each point, float64. The library's own arrays hold no colours but of 8 bits."""
+    from pye57 import libe57
+
+    fields = [field for field in _READ if field in header.point_fields]
+    data, buffers = {field: np.empty(header.point_count) for field in fields}, libe57.VectorSourceDestBuffer()
+    for field, values in data.items():
+        buffers.append(libe57.SourceDestBuffer(file.image_file, field, values, len(values), True, True))
+    read = header.points.reader(buffers).read()
+    if read != header.point_count:  # the rest of the arrays is whatever the memory held
+        raise ValueError(f"expected {header.point_count} points, got {read}")
+    return data
+
+
+def _pose(header: Any) -> tuple[Array, Array]:
+    """The rotation [3, 3] and the place [3] of a scan. Their numbers have names, and may be in any order."""
+    turned, place = (
+        [header.node["pose"][part][axis].value() for axis in axes] if header.node.isDefined(f"pose/{part}") else none
+        for part, axes, none in (("rotation", "xyzw", [0.0, 0.0, 0.0, 1.0]), ("translation", "xyz", [0.0, 0.0, 0.0]))
+    )
+    pose = poses_from_quaternions(np.array([turned]), np.array([place]), "pose of a scan")[0].numpy()
+    return pose[:3, :3], pose[:3, 3]
 
 
 def _limit(header: Any, name: str, end: str) -> float:

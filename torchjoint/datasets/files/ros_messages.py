@@ -98,6 +98,12 @@ def has_region(message: Any) -> bool:
     return min(message.roi.height, message.roi.width) > 0
 
 
+def matrices_of(message: Any) -> list[list[float]]:
+    """The numbers K, P and D of a CameraInfo, whose names are capital in ROS 1."""
+    names = "kpd" if hasattr(message, "k") else "KPD"
+    return [np.asarray(getattr(message, name), np.float64).tolist() for name in names]
+
+
 def camera(message: Any, rectified: bool, name: str, image_size: tuple[int, int] | None = None) -> Camera:
     """The camera of a CameraInfo: K and the distortion, or P of rectified images.
 
@@ -107,9 +113,8 @@ def camera(message: Any, rectified: bool, name: str, image_size: tuple[int, int]
         name: for messages.
         image_size: (H, W) of an image; needed if there is a region of interest: some drivers send whole images with it.
     """
-    K = np.asarray(getattr(message, "k", None) if hasattr(message, "k") else message.K, np.float64).reshape(3, 3)
-    P = np.asarray(message.p if hasattr(message, "p") else message.P, np.float64).reshape(3, 4)
-    D = np.asarray(message.d if hasattr(message, "d") else message.D, np.float64)
+    K, P, D = map(np.array, matrices_of(message))
+    K, P = K.reshape(3, 3), P.reshape(3, 4)
     size = (int(message.height), int(message.width)) if message.height and message.width else None
     if has_region(message):
         part = (int(message.roi.height), int(message.roi.width))
@@ -173,6 +178,7 @@ class Poses:
     def __init__(self, bag: Bag, limit: float) -> None:
         self.bag, self.limit = bag, limit
         self._parents: dict[str, str] = {}
+        self._all_parents: dict[str, set[str]] = {}
         self._rows: dict[str, dict[float, list[float]]] = {}
         self._fixed: dict[str, bool] = {}
         for topic in bag.topics(*TF):
@@ -197,6 +203,11 @@ class Poses:
         wanted = np.array(times, np.float64)
         poses: list[Tensor | None] = [torch.eye(4, dtype=torch.float64) for _ in times]
         for one in self._chain(frame):
+            if len(several := self._all_parents[one]) > 1:
+                raise ValueError(
+                    f"{self.bag.path}: expected one parent of frame {one!r} in tf, got {', '.join(sorted(several))}; "
+                    "--topics odometry=TOPIC takes other poses"
+                )
             rows = np.array([self._rows[one][time] for time in sorted(self._rows[one])])
             limit = np.inf if self._fixed[one] else self.limit
             step = interpolate_poses(rows, wanted, limit, f"{self.bag.path}: transform of {one}")
@@ -218,6 +229,7 @@ class Poses:
             warnings.warn(f"{self.bag.path}: the poses of {topic} are taken as those of frame {body}", stacklevel=4)
         for child in set(children):
             self._rows.pop(child, None)
+            self._all_parents.pop(child, None)
         for child, message in zip(children, messages, strict=True):
             transform = message.transform if hasattr(message, "transform") else message.pose
             self._add(message.header, child, getattr(transform, "pose", transform), False)
@@ -241,5 +253,6 @@ class Poses:
         if not np.isfinite(row).all():
             raise ValueError(f"{self.bag.path}: expected finite transforms of frame {child}, got {row}")
         self._parents[child] = header.frame_id.lstrip("/")
+        self._all_parents.setdefault(child, set()).add(self._parents[child])
         self._fixed[child] = fixed
         self._rows.setdefault(child, {}).setdefault(time, row)

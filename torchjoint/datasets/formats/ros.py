@@ -40,6 +40,7 @@ from torchjoint.datasets.files.ros_messages import (
     depth_image,
     has_region,
     is_depth,
+    matrices_of,
 )
 from torchjoint.datasets.formats.tum import associate
 from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_left_out
@@ -169,7 +170,11 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
         raise ValueError(f"{bag.path}: none of {len(colors)} images has a pose within {limit} s (tf or odometry)")
     tell_left_out(str(bag.path), len(colors) - len(posed), len(colors), f"have no pose within {limit} s,")
     rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
-    info, size = bag.first(topics.info), []
+    infos, size = list(bag.messages(topics.info)), []
+    info, changed = infos[0], sum(matrices_of(one) != matrices_of(infos[0]) for one in infos)
+    if changed:
+        told = f"{changed} of {len(infos)} messages have another camera than the first, which is taken for all images"
+        warnings.warn(f"{bag.path}: {topics.info}: {told}", stacklevel=3)
     if has_region(info):
         _, *size = color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape
     lens = camera(info, rectified, f"{bag.path}: {topics.info}", (size[0], size[1]) if size else None)
