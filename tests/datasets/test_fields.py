@@ -257,7 +257,7 @@ def test_groups_with_nan(tmp_path, file, goes):
 def test_other_arrays_of_an_archive(tmp_path):
     path = tmp_path / "a.npz"
     np.savez(path, points=XYZ, labels=np.arange(COUNT), heat=XYZ)
-    with pytest.warns(UserWarning, match=r"a\.npz: heat: no position, normal or colour by these names; not read"):
+    with pytest.warns(UserWarning, match=r"a\.npz: heat: no position, normal or colour by these names; not used"):
         read_cloud_file(path)
     np.savez(path, points=(1000 * XYZ).astype(int), faces=np.array([[0, 1, 2]], "i4"))
     made = read_cloud_file(path)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import laspy
 import numpy as np
 import pytest
 import torch
@@ -52,6 +53,18 @@ def test_superpoints_can_be_shown(run, scene_of, tmp_path, suffix):
     run("show", out, "--static", tmp_path / "page.html")
     with pytest.raises(ValueError, match=r"cloud\.npz: expected .* got no labels"):
         read_labelled_cloud(tmp_path / "cloud.npz")
+
+
+def test_a_labelled_survey_can_be_shown(run, tmp_path):
+    survey = laspy.LasData(laspy.LasHeader(point_format=2, version="1.2"))
+    survey.x, survey.y, survey.z = np.random.default_rng(0).uniform(0, 1, (3, 500))
+    survey.write(tmp_path / "a.las")
+    with pytest.raises(ValueError, match=r"a\.las: expected a \.ply, \.las or \.laz with `label`"):
+        read_labelled_cloud(tmp_path / "a.las")
+    run("superpoints", tmp_path / "a.las", "-o", tmp_path / "b.laz", "--no-picture")
+    found = np.asarray(laspy.read(tmp_path / "b.laz")["superpoint"])
+    assert read_labelled_cloud(tmp_path / "b.laz").points.tolist() == found.tolist()
+    run("show", tmp_path / "b.laz", "--static", tmp_path / "page.html")
 
 
 def test_a_large_cloud_says_how_many_points_are_shown(tmp_path):

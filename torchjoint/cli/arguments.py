@@ -69,6 +69,7 @@ class Parameters:
 DEFAULTS = Parameters()
 Flat = tyro.conf.OmitArgPrefixes[Parameters]
 Out = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+OptionalOut = Annotated[Path | None, tyro.conf.arg(aliases=["-o"])]
 
 
 def read_topics(assignments: Iterable[str]) -> tuple[tuple[str, str], ...]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import tyro
 
-from torchjoint.cli.arguments import DEFAULTS, Flat, Out, output_file, read_topics
+from torchjoint.cli.arguments import DEFAULTS, Flat, OptionalOut, output_file, read_topics
 from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
@@ -18,6 +18,7 @@ from torchjoint.recordings.playing import Played, computed_beside, play
 from torchjoint.recordings.segment import fingerprints, tell_if_changed
 from torchjoint.results.checkpoint import model_checksums
 from torchjoint.results.folder import write_result
+from torchjoint.results.objects import add_to_segments
 from torchjoint.results.output_folder import output_folder
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output, check_apart
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
 def live(
     scene: tyro.conf.Positional[Path],
-    out: Out,
+    out: OptionalOut = None,
     parameters: Flat = DEFAULTS,
     rate: float | None = 30.0,
     every: int = 0,
@@ -51,7 +52,7 @@ def live(
 
     Args:
         scene: folder of frames with depth, or a ROS recording; docs/your_data.md lists the layouts.
-        out: folder for the last result, as of `torchjoint segment`, with the keyframes.
+        out: folder for the last result, as of `torchjoint segment`, with the keyframes; default: NAME-live.
         parameters: parameters of the method.
         rate: frames a second; frames for which there is no time are dropped. "None": all frames, as fast as possible.
         every: compute the things after so many frames, besides after the last one; 0: only then, with --show one time
@@ -71,6 +72,7 @@ def live(
         overwrite: replace OUT if it is an earlier result, and the file of --rerun.
     """
     _check(rate, every)
+    out = out or Path(f"{scene.resolve().stem}-live")
     if rerun is not None:
         check_apart(out, rerun, "--rerun")
     log_file = None if rerun is None else output_file(rerun, overwrite, (scene,), "--rerun")
@@ -92,6 +94,7 @@ def live(
         tell_if_changed(scene, None, out, before)
         things = Scene(result.cloud.points, seen.frames, result.cloud.colors, name=recording.name)
         write_result(partial, things, result.segmentation, config, str(scene), seconds=segmenter.stopwatch.seconds)
+        add_to_segments(partial, {"lasting_ids": result.ids.tolist()})
     summarize(result.segmentation, out)
     if view is not None and view.viewer is not None:
         view.finish(out, result)

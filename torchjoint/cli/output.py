@@ -44,11 +44,9 @@ def summarize(result: Segmentation, out: Path) -> None:
     say(f"segmenting, added up over threads: {_listed(result.seconds)}")
     if (masks := count_masks(out)) is not None:
         say(f"masks: {masks[0]} of {masks[1]} became a segment (IoU at least .5); masks.json tells of each")
-    levels = ", hierarchy.npz, pieces/" if result.hierarchy is not None else ""
-    say(
-        f"written to {out}: overview.png, points.ply, points.npz, segments.json, images/, images_color/, inputs/, "
-        f"cameras.json, run.yaml{levels}"
-    )
+    files = ["overview.png", "points.ply", "points.npz", "segments.json", "cameras.json", "run.yaml", "hierarchy.npz"]
+    folders = [f"{one}/" for one in ("images", "images_color", "inputs", "pieces") if len(result.images)]
+    say(f"written to {out}: {', '.join([one for one in files if (out / one).exists()] + folders)}")
 
 
 def _listed(seconds: Mapping[str, float]) -> str:

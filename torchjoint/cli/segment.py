@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import tyro
 
-from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading
+from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, OptionalOut
 from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import live_view, show_result
 from torchjoint.engine import open_engine
@@ -19,7 +19,7 @@ from torchjoint.runtime.messages import say
 
 def segment(
     scene: tyro.conf.Positional[Path],
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    out: OptionalOut = None,
     parameters: Flat = DEFAULTS,
     reading: FlatReading = AS_IT_IS,
     overwrite: bool = False,

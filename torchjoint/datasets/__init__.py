@@ -118,7 +118,8 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
     found = _find_scenes(path)
     if not found:
         raise ValueError(
-            f"scene: {path} is of no known format: it {_content(path)}. The most similar one needs {_nearest(path)}. "
+            f"scene: {path} is of no known format: it {_content(path)}.{_cloud_inside(path)} The most similar one "
+            f"needs {_nearest(path)}. "
             "`torchjoint formats` lists all"
         )
     return found
@@ -145,6 +146,12 @@ def _content(path: Path) -> str:
         return f"is a file that ends in {path.suffix!r}"
     kinds = Counter("folders" if has_folder(one) else one.suffix or "files without suffix" for one in path.iterdir())
     return f"has {', '.join(f'{count} {kind}' for kind, count in kinds.most_common(6)) or 'no files'}"
+
+
+def _cloud_inside(path: Path) -> str:
+    inside = sorted(path.iterdir()) if has_folder(path) else []
+    found = [one for one in inside if has_file(one) and FORMATS["cloud_alone"].recognizes(one)]
+    return f" For a cloud alone, give the file: {found[0]}." if found else ""
 
 
 def _nearest(path: Path) -> str:

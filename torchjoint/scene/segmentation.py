@@ -108,7 +108,7 @@ class Segmentation:
 
     @property
     def num_point_segments(self) -> int:
-        """Number of segments of the cloud."""
+        """Number of segments of the cloud: the largest id + 1. After corrections, some ids may have no point."""
         return int(self.points.max()) + 1 if self.points.numel() else 0
 
     @property

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.las import las_chunks, open_las
 from torchjoint.datasets.files.ply import read_vertex_property
 from torchjoint.results.result import Result
 from torchjoint.runtime.archives import read_archive
@@ -42,13 +43,15 @@ def with_truth(result: Result, scene: Scene) -> Result:
 
 
 def read_labelled_cloud(path: Path) -> Result:
-    """Reads a .ply with the property `label`, or a .npz with the arrays points and labels."""
+    """Reads a .ply, .las or .laz with `label` or `superpoint`, or a .npz with the arrays points and labels."""
     cloud = read_cloud_file(path)
     labels = _labels(path)
     if labels is None or len(labels) != len(cloud.points):
-        raise ValueError(f"{path}: expected a .ply with the property `label`, or a .npz with `labels`, got no labels")
+        wanted = "a .ply, .las or .laz with `label` or `superpoint`, or a .npz with `labels`"
+        raise ValueError(f"{path}: expected {wanted}, got no labels")
     numbered = np.unique(labels, return_inverse=True)[1]
-    scene = Scene(cloud.points, colors=cloud.colors if path.suffix == ".npz" else None, name=path.stem)
+    colors = None if path.suffix == ".ply" else cloud.colors  # those of a .ply are of its segments
+    scene = Scene(cloud.points, colors=colors, name=path.stem)
     return Result.of(Segmentation(torch.from_numpy(numbered.astype(np.int64)), ()), scene)
 
 
@@ -56,4 +59,9 @@ def _labels(path: Path) -> npt.NDArray[np.int64] | None:
     if path.suffix == ".npz":
         labels = read_archive(path).get("labels")
         return None if labels is None else labels.astype(np.int64)
+    if path.suffix.lower() in (".las", ".laz"):
+        with open_las(path) as reader:
+            found = set(reader.header.point_format.extra_dimension_names) & {"label", "superpoint"}
+            chunks = [np.asarray(chunk[min(found)]) for chunk in las_chunks(reader, path)] if found else []
+        return np.concatenate(chunks).astype(np.int64) if chunks else None
     return read_vertex_property(path, "label") if path.suffix == ".ply" else None

@@ -184,7 +184,7 @@ def test_a_point_moves_to_where_most_frames_see_it(seen) -> None:
     assert moved(seen, [0, 0, 0, 0, 1, 1], [smaller]) == [0, 0, 0, 1, 1, 1]  # nested masks stand for one region
 
 
-def test_a_point_moves_only_to_a_neighbour_and_no_superpoint_is_lost(seen) -> None:
+def test_a_point_moves_only_to_a_neighbour(seen) -> None:
     apart = torch.tensor([[0, 1, 2, 4], [1, 2, 3, 5]])
     assert moved(seen, [0, 0, 0, 0, 1, 1], [HALVES], apart) == [0, 0, 0, 0, 1, 1]
     assert moved(seen, [0, 0, 0, 1, 2, 2], [HALVES]) == [0, 0, 0, 1, 2, 2]

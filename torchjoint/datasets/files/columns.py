@@ -112,7 +112,7 @@ def tell_not_read(columns: Iterable[str], name: str) -> None:
     left = [column for column in columns if not NOT_READ.fullmatch(plain(column))]
     if left:
         some = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
-        told = f"{name}: {some}: no position, normal or colour by these names; not read (docs/your_data.md)"
+        told = f"{name}: {some}: no position, normal or colour by these names; not used (docs/your_data.md)"
         warnings.warn(told, stacklevel=5)
 
 

@@ -60,8 +60,8 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
         places = result.scene.points[result.points == row[0], :2].double().numpy()
         origin = places.mean(0)  # float32 has too few digits for coordinates of surveys
         corners = cv2.convexHull((places - origin).astype(np.float32))[:, 0].astype(float) + origin
-        # Seven decimals, because a survey's coordinates may be degrees.
-        ring = [[round(value, 7) for value in corner] for corner in (*corners.tolist(), corners[0].tolist())]
+        digits = 7 if np.abs(corners).max() <= 360 else 3  # a survey's coordinates may be degrees
+        ring = [[round(value, digits) for value in corner] for corner in (*corners.tolist(), corners[0].tolist())]
         shape = (
             {"type": "Polygon", "coordinates": [ring]} if len(ring) > 3 else {"type": "Point", "coordinates": ring[0]}
         )

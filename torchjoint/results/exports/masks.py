@@ -75,12 +75,13 @@ def export_sam(folder: Path, result: Result) -> None:
 def export_coco(path: Path, result: Result) -> None:
     """Writes one JSON file; an annotation's `segment_id` is the label, the same in all images and in the cloud.
 
-    `in_cloud` is False for a segment of an image that has no points. All annotations have category 1, "object". `score`
-    is the confidence in the segment, where the result has one; `segment_name` is the name that it got by hand.
+    `in_cloud` is False for a segment of an image that has no points. The category is the name of the segment, else
+    "object". `score` is the confidence in the segment, where the result has one.
     """
     if not len(result.images):
         raise ValueError("--format coco: expected a result with images, got none")
     count, files, names = result.num_point_segments, frame_files(result.names), result.segment_names
+    categories = ["object", *sorted({name for name in names.values() if name} - {"object"})]
     scores = [] if result.confidence is None else result.confidence.tolist()
     of_images = parallel_map(lambda index: list(masks_of(result.images[index])), range(len(result.images)))
     images: list[dict[str, Any]] = []
@@ -93,7 +94,7 @@ def export_coco(path: Path, result: Result) -> None:
                 {
                     "id": len(annotations) + 1,
                     "image_id": index + 1,
-                    "category_id": 1,
+                    "category_id": 1 + categories.index(names.get(mask.segment) or "object"),
                     "segmentation": mask.encoded,
                     "area": mask.area,
                     "bbox": mask.box,
@@ -109,7 +110,9 @@ def export_coco(path: Path, result: Result) -> None:
         "licenses": [],
         "images": images,
         "annotations": annotations,
-        "categories": [{"id": 1, "name": "object", "supercategory": "object"}],
+        "categories": [
+            {"id": number, "name": name, "supercategory": "object"} for number, name in enumerate(categories, 1)
+        ],
     }
     write_text(path, json.dumps(record))
 
