@@ -197,13 +197,9 @@ std::tuple<Tensor, Tensor, Tensor> agreement_sums(const Tensor& region, const Te
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "agreement_sums(Tensor region, Tensor segment, Tensor num_points, Tensor segment_size, Tensor frame_of_segment,"
-      " SymInt num_regions, Tensor pairs, int min_points, float resolution)"
-      " -> (Tensor best, Tensor extremes, Tensor sums)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("agreement_sums", TORCH_BOX(&agreement_sums)); }
+TORCHJOINT_OPERATOR(agreement_sums,
+                    "(Tensor region, Tensor segment, Tensor num_points, Tensor segment_size, Tensor "
+                    "frame_of_segment, SymInt num_regions, Tensor pairs, int min_points, float resolution) -> "
+                    "(Tensor best, Tensor extremes, Tensor sums)");
 
 }  // namespace torchjoint

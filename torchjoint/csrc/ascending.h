@@ -42,7 +42,7 @@ class EdgeSorter {
   // Returns the sorted edges: `edges` itself, or a buffer that is valid until the next call.
   const Edge* sort(Edge* edges, size_t count, uint32_t lowest, uint32_t highest) {
     if (count < kFew) {
-      insertion_sort(edges, count);
+      std::stable_sort(edges, edges + count, [](const Edge& a, const Edge& b) { return a.key < b.key; });
       return edges;
     }
     if (buffer_.size() < count) buffer_.resize(count);
@@ -58,15 +58,6 @@ class EdgeSorter {
   static constexpr size_t kFew = 32;
   static constexpr int kDigitBits = 11;
   static constexpr uint32_t kDigits = 1u << kDigitBits;
-
-  static void insertion_sort(Edge* edges, size_t count) {
-    for (size_t i = 1; i < count; ++i) {
-      const Edge edge = edges[i];
-      size_t place = i;
-      for (; place > 0 && edges[place - 1].key > edge.key; --place) edges[place] = edges[place - 1];
-      edges[place] = edge;
-    }
-  }
 
   // Returns false if all edges have the same digit; then no edge was moved.
   bool distribute(const Edge* from, Edge* to, size_t count, uint32_t lowest, int shift) {

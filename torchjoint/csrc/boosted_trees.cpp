@@ -124,12 +124,8 @@ Tensor boosted_trees(const Tensor& values, const Tensor& feature, const Tensor& 
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "boosted_trees(Tensor values, Tensor feature, Tensor threshold, Tensor missing_left, Tensor left, Tensor right,"
-      " Tensor leaf_value) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("boosted_trees", TORCH_BOX(&boosted_trees)); }
+TORCHJOINT_OPERATOR(boosted_trees,
+                    "(Tensor values, Tensor feature, Tensor threshold, Tensor missing_left, Tensor left, Tensor "
+                    "right, Tensor leaf_value) -> Tensor");
 
 }  // namespace torchjoint

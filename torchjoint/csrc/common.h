@@ -13,6 +13,12 @@
 #include <stdexcept>
 #include <vector>
 
+// Registers a function with the name and the schema of an operator.
+#define TORCHJOINT_OPERATOR(name, schema)                                            \
+  STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) { m.def(#name schema); }              \
+  STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl(#name, TORCH_BOX(&name)); } \
+  static_assert(true)
+
 namespace torchjoint {
 
 using torch::headeronly::ScalarType;
@@ -112,6 +118,23 @@ template <typename Function>
 auto with_values(const Tensor& values, Function&& function) {
   if (values.scalar_type() == ScalarType::Float) return function(values.const_data_ptr<float>());
   return function(values.const_data_ptr<double>());
+}
+
+#ifdef __x86_64__
+// Vectors of twice the length, without fused operations, so that results are the same.
+template <typename Function>
+__attribute__((target("avx2"), flatten)) void run_avx2(const Function& function) {
+  function();
+}
+#endif
+
+// Runs a function in the fastest version for this processor.
+template <typename Function>
+void run_fastest(const Function& function) {
+#ifdef __x86_64__
+  if (__builtin_cpu_supports("avx2")) return run_avx2(function);
+#endif
+  function();
 }
 
 }  // namespace torchjoint

@@ -27,10 +27,6 @@ Tensor connected_components(const Tensor& edge_index, int64_t num_nodes) {
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("connected_components(Tensor edge_index, SymInt num_nodes) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("connected_components", TORCH_BOX(&connected_components)); }
+TORCHJOINT_OPERATOR(connected_components, "(Tensor edge_index, SymInt num_nodes) -> Tensor");
 
 }  // namespace torchjoint

@@ -16,7 +16,7 @@ class Components : public UnionFind {
   }
 
   bool filter(Ends& ends) {
-    ends = {climb(ends.u), climb(ends.v)};
+    ends = {find(ends.u), find(ends.v)};
     return ends.u != ends.v;
   }
 
@@ -92,10 +92,7 @@ Tensor felzenszwalb(const Tensor& edge_index, const Tensor& weight, int64_t num_
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("felzenszwalb(Tensor edge_index, Tensor weight, SymInt num_nodes, float scale, SymInt min_size=0) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("felzenszwalb", TORCH_BOX(&felzenszwalb)); }
+TORCHJOINT_OPERATOR(felzenszwalb,
+                    "(Tensor edge_index, Tensor weight, SymInt num_nodes, float scale, SymInt min_size=0) -> Tensor");
 
 }  // namespace torchjoint

@@ -51,10 +51,6 @@ Tensor fit_normals(const Tensor& points, const Tensor& neighbors, const std::opt
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("fit_normals(Tensor points, Tensor neighbors, Tensor? order=None) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("fit_normals", TORCH_BOX(&fit_normals)); }
+TORCHJOINT_OPERATOR(fit_normals, "(Tensor points, Tensor neighbors, Tensor? order=None) -> Tensor");
 
 }  // namespace torchjoint

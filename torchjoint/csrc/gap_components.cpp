@@ -90,12 +90,8 @@ Tensor gap_components(const Tensor& points, const Tensor& gap, const Tensor& nei
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "gap_components(Tensor points, Tensor gap, Tensor neighbors, Tensor used, int min_size, float joining)"
-      " -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("gap_components", TORCH_BOX(&gap_components)); }
+TORCHJOINT_OPERATOR(gap_components,
+                    "(Tensor points, Tensor gap, Tensor neighbors, Tensor used, int min_size, float joining) -> "
+                    "Tensor");
 
 }  // namespace torchjoint

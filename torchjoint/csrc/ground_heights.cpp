@@ -191,12 +191,9 @@ Tensor ground_heights(const Tensor& azimuth, const Tensor& elevation, const Tens
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "ground_heights(Tensor azimuth, Tensor elevation, Tensor distance, Tensor height, Tensor used, int num_columns,"
-      " float row_height, float slope, float step, float bump, float near, float blind, int sides) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("ground_heights", TORCH_BOX(&ground_heights)); }
+TORCHJOINT_OPERATOR(ground_heights,
+                    "(Tensor azimuth, Tensor elevation, Tensor distance, Tensor height, Tensor used, int "
+                    "num_columns, float row_height, float slope, float step, float bump, float near, float blind, "
+                    "int sides) -> Tensor");
 
 }  // namespace torchjoint

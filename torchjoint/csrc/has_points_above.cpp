@@ -51,7 +51,7 @@ class Grid {
 };
 
 Tensor has_points_above(const Tensor& column, const Tensor& row, const Tensor& height, const Tensor& used,
-                       const Tensor& which, int64_t num_columns, int64_t num_rows, double least, double most) {
+                        const Tensor& which, int64_t num_columns, int64_t num_rows, double least, double most) {
   const Tensor columns = checked_array(column, ScalarType::Long, {-1}, "column");
   const int64_t count = columns.size(0);
   check(count <= kMaxCount, "column: expected at most 2^31 - 1 points, got ", count);
@@ -85,12 +85,8 @@ Tensor has_points_above(const Tensor& column, const Tensor& row, const Tensor& h
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "has_points_above(Tensor column, Tensor row, Tensor height, Tensor used, Tensor which, int num_columns,"
-      " int num_rows, float least, float most) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("has_points_above", TORCH_BOX(&has_points_above)); }
+TORCHJOINT_OPERATOR(has_points_above,
+                    "(Tensor column, Tensor row, Tensor height, Tensor used, Tensor which, int num_columns, int "
+                    "num_rows, float least, float most) -> Tensor");
 
 }  // namespace torchjoint

@@ -121,12 +121,8 @@ void integrate_depth(const Tensor& sums, const Tensor& row, const Tensor& block,
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "integrate_depth(Tensor(a!) sums, Tensor row, Tensor block, Tensor depth, Tensor color, Tensor intrinsics,"
-      " Tensor world_to_camera, float voxel_size, float truncation, float far) -> ()");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("integrate_depth", TORCH_BOX(&integrate_depth)); }
+TORCHJOINT_OPERATOR(integrate_depth,
+                    "(Tensor(a!) sums, Tensor row, Tensor block, Tensor depth, Tensor color, Tensor intrinsics, Tensor "
+                    "world_to_camera, float voxel_size, float truncation, float far) -> ()");
 
 }  // namespace torchjoint

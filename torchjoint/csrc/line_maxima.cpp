@@ -42,12 +42,8 @@ std::tuple<Tensor, Tensor> line_maxima(const Tensor& order, const Tensor& other_
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "line_maxima(Tensor order, Tensor other_end, Tensor start, Tensor point, Tensor row, Tensor column,"
-      " Tensor image) -> (Tensor edge, Tensor maximum)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("line_maxima", TORCH_BOX(&line_maxima)); }
+TORCHJOINT_OPERATOR(line_maxima,
+                    "(Tensor order, Tensor other_end, Tensor start, Tensor point, Tensor row, Tensor column, Tensor "
+                    "image) -> (Tensor edge, Tensor maximum)");
 
 }  // namespace torchjoint

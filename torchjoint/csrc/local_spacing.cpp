@@ -281,24 +281,6 @@ class Spacing {
   std::vector<int32_t> near_;
 };
 
-void measure_all(Spacing& spacing, int64_t first, int64_t last) {
-  for (int64_t leaf = first; leaf < last; ++leaf) spacing.measure(leaf);
-}
-
-#ifdef __x86_64__
-// The same code, compiled for vectors of twice the length; without fused operations, so that results are the same.
-__attribute__((target("avx2"), flatten)) void measure_all_avx2(Spacing& spacing, int64_t first, int64_t last) {
-  for (int64_t leaf = first; leaf < last; ++leaf) spacing.measure(leaf);
-}
-#endif
-
-void measure_leaves(Spacing& spacing, int64_t first, int64_t last) {
-#ifdef __x86_64__
-  if (__builtin_cpu_supports("avx2")) return measure_all_avx2(spacing, first, last);
-#endif
-  measure_all(spacing, first, last);
-}
-
 Tensor local_spacing(const Tensor& points, const Tensor& reach, double share, int64_t count) {
   const Tensor places = checked_array(points, ScalarType::Float, {-1, 3}, "points");
   const int64_t num_points = places.size(0);
@@ -319,17 +301,15 @@ Tensor local_spacing(const Tensor& points, const Tensor& reach, double share, in
   double* const spacing = found.mutable_data_ptr<double>();
   torch::stable::parallel_for(0, leaves.num_leaves(), kLeavesAtOnce, [&](int64_t begin, int64_t end) {
     Spacing of_leaves(leaves, share, count, spacing);
-    measure_leaves(of_leaves, begin, end);
+    run_fastest([&] {
+      for (int64_t leaf = begin; leaf < end; ++leaf) of_leaves.measure(leaf);
+    });
   });
   return found;
 }
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("local_spacing(Tensor points, Tensor reach, float share, int count) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("local_spacing", TORCH_BOX(&local_spacing)); }
+TORCHJOINT_OPERATOR(local_spacing, "(Tensor points, Tensor reach, float share, int count) -> Tensor");
 
 }  // namespace torchjoint

@@ -297,13 +297,9 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "mask_merges(Tensor edge_index, Tensor cost, Tensor count, Tensor size, Tensor in_mask, Tensor in_frame, Tensor weight, Tensor "
-      "frame_of_mask, float apart_weight, float prior_weight, float threshold, "
-      "Tensor stays, int min_size) -> (Tensor, Tensor)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("mask_merges", TORCH_BOX(&mask_merges)); }
+TORCHJOINT_OPERATOR(mask_merges,
+                    "(Tensor edge_index, Tensor cost, Tensor count, Tensor size, Tensor in_mask, Tensor in_frame, "
+                    "Tensor weight, Tensor frame_of_mask, float apart_weight, float prior_weight, float threshold, "
+                    "Tensor stays, int min_size) -> (Tensor, Tensor)");
 
 }  // namespace torchjoint

@@ -173,10 +173,7 @@ Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor&
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("merge_regions(Tensor edge_index, Tensor cost, Tensor size, float threshold, int min_size) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("merge_regions", TORCH_BOX(&merge_regions)); }
+TORCHJOINT_OPERATOR(merge_regions,
+                    "(Tensor edge_index, Tensor cost, Tensor size, float threshold, int min_size) -> Tensor");
 
 }  // namespace torchjoint

@@ -431,12 +431,8 @@ std::tuple<Tensor, Tensor> min_cut(const Tensor& edge_index, const Tensor& capac
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "min_cut(Tensor edge_index, Tensor capacity, Tensor source_capacity, Tensor sink_capacity)"
-      " -> (Tensor source_side, Tensor flow)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("min_cut", TORCH_BOX(&min_cut)); }
+TORCHJOINT_OPERATOR(min_cut,
+                    "(Tensor edge_index, Tensor capacity, Tensor source_capacity, Tensor sink_capacity) -> (Tensor "
+                    "source_side, Tensor flow)");
 
 }  // namespace torchjoint

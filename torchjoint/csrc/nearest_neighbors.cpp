@@ -241,38 +241,18 @@ class Search {
 };
 
 template <typename Value>
-void search_leaves(Search<Value>& search, int64_t first, int64_t last) {
-  for (int64_t leaf = first; leaf < last; ++leaf) search.search_leaf(leaf);
-}
-
-#ifdef __x86_64__
-// The same code, compiled for vectors of twice the length; without fused operations, so that results are the same.
-template <typename Value>
-__attribute__((target("avx2"), flatten)) void search_leaves_avx2(Search<Value>& search, int64_t first, int64_t last) {
-  for (int64_t leaf = first; leaf < last; ++leaf) search.search_leaf(leaf);
-}
-#endif
-
-// The fastest version for this processor.
-template <typename Value>
-void (*block_search())(Search<Value>&, int64_t, int64_t) {
-#ifdef __x86_64__
-  if (__builtin_cpu_supports("avx2")) return search_leaves_avx2<Value>;
-#endif
-  return search_leaves<Value>;
-}
-
-template <typename Value>
 void search_all(const Value* points, const double* limits, int64_t num_points, int64_t count, int64_t num_distances,
                 int32_t* indices, Value* distances) {
   const PointTree<Value> tree(points, num_points);
   const int64_t blocks = (tree.num_leaves() + kLeavesPerBlock - 1) / kLeavesPerBlock;
-  const auto search_block = block_search<Value>();
   std::atomic<int64_t> next = 0;  // blocks take different times, so a free thread takes the next block
   torch::stable::parallel_for(0, blocks, 1, [&](int64_t, int64_t) {
     Search<Value> search(tree, limits, count, num_distances, indices, distances);
     for (int64_t block = next++; block < blocks; block = next++) {
-      search_block(search, block * kLeavesPerBlock, std::min((block + 1) * kLeavesPerBlock, tree.num_leaves()));
+      const int64_t first = block * kLeavesPerBlock, last = std::min(first + kLeavesPerBlock, tree.num_leaves());
+      run_fastest([&] {
+        for (int64_t leaf = first; leaf < last; ++leaf) search.search_leaf(leaf);
+      });
     }
   });
 }
@@ -345,10 +325,7 @@ std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("nearest_neighbors(Tensor points, int count, int num_distances, Tensor? limits) -> (Tensor, Tensor)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("nearest_neighbors", TORCH_BOX(&nearest_neighbors)); }
+TORCHJOINT_OPERATOR(nearest_neighbors,
+                    "(Tensor points, int count, int num_distances, Tensor? limits) -> (Tensor, Tensor)");
 
 }  // namespace torchjoint

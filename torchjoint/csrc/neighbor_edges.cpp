@@ -88,10 +88,6 @@ Tensor neighbor_edges(const Tensor& neighbors, const std::optional<Tensor>& orde
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("neighbor_edges(Tensor neighbors, Tensor? order=None) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("neighbor_edges", TORCH_BOX(&neighbor_edges)); }
+TORCHJOINT_OPERATOR(neighbor_edges, "(Tensor neighbors, Tensor? order=None) -> Tensor");
 
 }  // namespace torchjoint

@@ -236,10 +236,7 @@ Tensor outvoted_markers(const Tensor& markers, const Tensor& colors, double colo
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("outvoted_markers(Tensor markers, Tensor colors, float color_weight, SymInt num_voters, float near) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("outvoted_markers", TORCH_BOX(&outvoted_markers)); }
+TORCHJOINT_OPERATOR(outvoted_markers,
+                    "(Tensor markers, Tensor colors, float color_weight, SymInt num_voters, float near) -> Tensor");
 
 }  // namespace torchjoint

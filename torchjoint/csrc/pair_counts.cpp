@@ -189,12 +189,8 @@ std::tuple<Tensor, Tensor> pair_counts(const Tensor& u, const Tensor& v, const T
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "pair_counts(Tensor u, Tensor v, Tensor pixel, Tensor segment, Tensor label, float radius)"
-      " -> (Tensor group, Tensor count)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("pair_counts", TORCH_BOX(&pair_counts)); }
+TORCHJOINT_OPERATOR(pair_counts,
+                    "(Tensor u, Tensor v, Tensor pixel, Tensor segment, Tensor label, float radius) -> (Tensor "
+                    "group, Tensor count)");
 
 }  // namespace torchjoint

@@ -58,12 +58,8 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> project(const Tensor& points, const T
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "project(Tensor points, Tensor camera_from_world, Tensor intrinsics, float near, float far, SymInt height,"
-      " SymInt width, float margin=0.) -> (Tensor point, Tensor u, Tensor v, Tensor z)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("project", TORCH_BOX(&project)); }
+TORCHJOINT_OPERATOR(project,
+                    "(Tensor points, Tensor camera_from_world, Tensor intrinsics, float near, float far, SymInt "
+                    "height, SymInt width, float margin=0.) -> (Tensor point, Tensor u, Tensor v, Tensor z)");
 
 }  // namespace torchjoint

@@ -271,12 +271,8 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "propagate_labels(Tensor markers, Tensor colors, Tensor boundary, float color_weight, float boundary_weight,"
-      " int min_markers=1, Tensor? groups=None) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("propagate_labels", TORCH_BOX(&propagate_labels)); }
+TORCHJOINT_OPERATOR(propagate_labels,
+                    "(Tensor markers, Tensor colors, Tensor boundary, float color_weight, float boundary_weight, int "
+                    "min_markers=1, Tensor? groups=None) -> Tensor");
 
 }  // namespace torchjoint

@@ -46,12 +46,8 @@ std::tuple<Tensor, Tensor> region_dendrogram(const Tensor& edge_index, const Ten
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "region_dendrogram(Tensor edge_index, Tensor cost, int num_regions, float threshold, Tensor count)"
-      " -> (Tensor, Tensor)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("region_dendrogram", TORCH_BOX(&region_dendrogram)); }
+TORCHJOINT_OPERATOR(region_dendrogram,
+                    "(Tensor edge_index, Tensor cost, int num_regions, float threshold, Tensor count) -> (Tensor, "
+                    "Tensor)");
 
 }  // namespace torchjoint

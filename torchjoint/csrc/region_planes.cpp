@@ -53,11 +53,8 @@ std::tuple<Tensor, Tensor> region_planes(const Tensor& points, const Tensor& nei
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "region_planes(Tensor points, Tensor neighbors, Tensor region, Tensor normals, int min_points) -> (Tensor, Tensor)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("region_planes", TORCH_BOX(&region_planes)); }
+TORCHJOINT_OPERATOR(region_planes,
+                    "(Tensor points, Tensor neighbors, Tensor region, Tensor normals, int min_points) -> (Tensor, "
+                    "Tensor)");
 
 }  // namespace torchjoint

@@ -131,13 +131,9 @@ std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> segment_graphs(const Tensor& 
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "segment_graphs(Tensor labels, Tensor chosen, Tensor colors, Tensor boundary, float color_weight,"
-      " float boundary_weight) -> (Tensor pixel, Tensor node_ptr, Tensor edge_index, Tensor edge_ptr,"
-      " Tensor relative_weight)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("segment_graphs", TORCH_BOX(&segment_graphs)); }
+TORCHJOINT_OPERATOR(segment_graphs,
+                    "(Tensor labels, Tensor chosen, Tensor colors, Tensor boundary, float color_weight, float "
+                    "boundary_weight) -> (Tensor pixel, Tensor node_ptr, Tensor edge_index, Tensor edge_ptr, Tensor "
+                    "relative_weight)");
 
 }  // namespace torchjoint

@@ -43,10 +43,7 @@ Tensor splat_depth(const Tensor& row, const Tensor& column, const Tensor& depth,
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("splat_depth(Tensor row, Tensor column, Tensor depth, Tensor reach, SymInt height, SymInt width) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("splat_depth", TORCH_BOX(&splat_depth)); }
+TORCHJOINT_OPERATOR(splat_depth,
+                    "(Tensor row, Tensor column, Tensor depth, Tensor reach, SymInt height, SymInt width) -> Tensor");
 
 }  // namespace torchjoint

@@ -126,12 +126,8 @@ Tensor structured_forest(const Tensor& images, const Tensor& children, const Ten
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "structured_forest(Tensor images, Tensor children, Tensor features, Tensor thresholds, Tensor boundary_counts,"
-      " Tensor boundary_pixels, int trees_per_site, int stride=2) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("structured_forest", TORCH_BOX(&structured_forest)); }
+TORCHJOINT_OPERATOR(structured_forest,
+                    "(Tensor images, Tensor children, Tensor features, Tensor thresholds, Tensor boundary_counts, "
+                    "Tensor boundary_pixels, int trees_per_site, int stride=2) -> Tensor");
 
 }  // namespace torchjoint

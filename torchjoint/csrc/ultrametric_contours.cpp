@@ -149,10 +149,6 @@ Tensor ultrametric_contours(const Tensor& boundary, const Tensor& relief) {
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def("ultrametric_contours(Tensor boundary, Tensor relief) -> Tensor");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("ultrametric_contours", TORCH_BOX(&ultrametric_contours)); }
+TORCHJOINT_OPERATOR(ultrametric_contours, "(Tensor boundary, Tensor relief) -> Tensor");
 
 }  // namespace torchjoint

@@ -26,15 +26,6 @@ class UnionFind {
     }
   }
 
-  // Two steps towards the root, with path halving. It has no branches, because they would be unpredictable.
-  int32_t climb(int32_t node) {
-    const int32_t link = link_[node];
-    const int32_t parent = select(link < 0, node, link);
-    const int32_t link_of_parent = link_[parent];
-    link_[node] = select(link_of_parent < 0, link, link_of_parent);
-    return select(link_of_parent < 0, parent, link_of_parent);
-  }
-
   // Joins two different roots; returns the root of both.
   int32_t join(int32_t a, int32_t b) {
     if (size(a) < size(b)) std::swap(a, b);
@@ -57,12 +48,6 @@ class UnionFind {
   }
 
  private:
-  // `condition ? yes : no` without a branch, which compilers tend to generate.
-  static int32_t select(bool condition, int32_t yes, int32_t no) {
-    const int32_t mask = -static_cast<int32_t>(condition);
-    return (yes & mask) | (no & ~mask);
-  }
-
   Array<int32_t> link_;  // the parent, or, at a root, minus the size
 };
 

@@ -115,12 +115,8 @@ std::tuple<Tensor, Tensor> window_overlaps(const Tensor& order, const Tensor& ot
 
 }  // namespace
 
-STABLE_TORCH_LIBRARY_FRAGMENT(torchjoint, m) {
-  m.def(
-      "window_overlaps(Tensor order, Tensor other_end, Tensor start, Tensor point, Tensor row, Tensor column,"
-      " Tensor labels, SymInt window) -> (Tensor edge, Tensor overlap)");
-}
-
-STABLE_TORCH_LIBRARY_IMPL(torchjoint, CPU, m) { m.impl("window_overlaps", TORCH_BOX(&window_overlaps)); }
+TORCHJOINT_OPERATOR(window_overlaps,
+                    "(Tensor order, Tensor other_end, Tensor start, Tensor point, Tensor row, Tensor column, Tensor "
+                    "labels, SymInt window) -> (Tensor edge, Tensor overlap)");
 
 }  // namespace torchjoint
