@@ -90,6 +90,18 @@ def test_a_coco_file(tmp_path):
         tj.masks.read_folder(path, scene_of("a"))
 
 
+def test_groups_in_a_coco_file_are_left_out(tmp_path):
+    images = [{"id": i, "file_name": f"{name}.jpg", "height": 6, "width": 8} for i, name in enumerate("ab")]
+    record = {"segmentation": {"size": SIZE, "counts": [48]}}
+    annotations = [record | {"image_id": i, "iscrowd": crowd} for i in range(2) for crowd in (1, 0)]
+    path = tmp_path / "instances.json"
+    path.write_text(json.dumps({"images": images, "annotations": annotations}))
+    with pytest.warns(UserWarning, match=r"instances\.json: 2 of 4 masks are groups of things") as told:
+        frames = list(tj.masks.read_folder(path, scene_of("a", "b")).frames)
+    assert [len(frame.masks) for frame in frames] == [1, 1]
+    assert len(told) == 1
+
+
 def test_a_coco_file_of_cvat(tmp_path):
     """As Datumaro, with which CVAT writes, has written a polygon, a mask of the brush and a rectangle."""
     of_all = {"image_id": 1, "attributes": {"occluded": False}}
