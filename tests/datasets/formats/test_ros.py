@@ -135,6 +135,12 @@ def test_a_camera_that_zooms_is_told(tmp_path):
         tj.load_scene(ros.record(tmp_path / "walk", messages), voxel_size=0.1)
 
 
+def test_the_latest_transform_of_a_fixed_frame_counts(tmp_path):
+    again = ("/tf_static", 1.0, ros.transforms(1.0, "base", "camera_optical", (0, 0, 0.7)))
+    frames = tj.load_scene(ros.record(tmp_path / "walk", [*ros.messages(), again]), voxel_size=0.1).frames
+    assert [round(-frame.world_to_camera[2, 3].item(), 3) for frame in frames] == [0.7, 0.7]
+
+
 def test_two_parents_of_one_frame_are_no_tree(tmp_path):
     """Their poses would be taken for those of one world."""
     other = [("/tf", 0.1 * index, ros.transforms(0.1 * index + 0.001, "map", "base", (9, 0, 0))) for index in range(2)]
