@@ -153,6 +153,14 @@ def test_two_parents_of_one_frame_are_no_tree(tmp_path):
     assert [round(-frame.world_to_camera[0, 3].item(), 2) for frame in frames] == [0.04, 1]
 
 
+def test_images_of_several_frames_have_no_common_pose(tmp_path):
+    other = ("/camera/image_raw", 0.05, ros.image(0.05, ros.colors(2), "bgr8", "rear_optical"))
+    bag = ros.record(tmp_path / "walk", [*ros.messages(), other])
+    told = r"/camera/image_raw: expected messages of one frame \(frame_id\), got 'camera_optical', 'rear_optical'"
+    with pytest.raises(ValueError, match=told):
+        tj.load_scene(bag, voxel_size=0.1)
+
+
 def test_scans_of_another_tree_have_no_place(tmp_path):
     points = [("/points", 0.0, ros_points.cloud(0.0, np.asarray(wall())))]
     points[0][2].header.frame_id = "lidar"
