@@ -390,8 +390,10 @@ class TestSurvey:
         assert survey[0].read_bytes() == before
 
     def test_what_cannot_be(self, survey, run, tmp_path):
-        with pytest.raises(SystemExit, match=r"out\.ply: expected \.las or \.laz for site\.laz"):
+        with pytest.raises(SystemExit, match=rf"{tmp_path}/out\.ply: expected \.las or \.laz for site\.laz"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.ply")
+        with pytest.raises(SystemExit, match=rf"{tmp_path}/out: expected \.las or \.laz for site\.laz"):
+            run("export", survey[1], "--format", "las", "-o", tmp_path / "out")
         with pytest.raises(SystemExit, match="expected no dimension quality, got one; remove it first"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "quality")
         with pytest.raises(SystemExit, match="expected no dimension x, got one"):
