@@ -16,6 +16,7 @@ import torchjoint as tj
 from torchjoint.datasets.files import meshes
 from torchjoint.datasets.files.ply import read_ply, read_vertex_property
 from torchjoint.datasets.formats import cloud_alone
+from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.folder import write_result
 from torchjoint.results.labelled_file import label_file, nearest_labels, part_files
 
@@ -388,6 +389,15 @@ class TestSurvey:
             with pytest.raises(SystemExit, match=r"expected another path than the input's, .*site\.laz"):
                 run(*command, survey[0])
         assert survey[0].read_bytes() == before
+
+    def test_copc_is_not_written(self, survey, run, tmp_path):
+        out, told = tmp_path / "out.copc.laz", rf"got {tmp_path}/out\.copc\.laz: COPC is read but not written"
+        for command in (["label", survey[1], survey[0]], ["export", survey[1], "--format", "las"]):
+            with pytest.raises(SystemExit, match=told):
+                run(*command, "-o", out)
+        with pytest.raises(ValueError, match="COPC is read but not written"):
+            export_las(out, tj.load_result(survey[1]))
+        assert list(tmp_path.iterdir()) == []
 
     def test_what_cannot_be(self, survey, run, tmp_path):
         with pytest.raises(SystemExit, match=rf"{tmp_path}/out\.ply: expected \.las or \.laz for site\.laz"):

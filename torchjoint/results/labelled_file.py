@@ -181,6 +181,7 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
         raise ValueError(f"{out}: expected .las or .laz for {source.name}" if is_survey[0] else
                          f"{source}: expected .las or .laz for {out.name}")  # fmt: skip
     if is_survey[0]:
+        las.check_no_copc(out)
         _label_survey(source, out, result, name)
         return
     mesh = _read(source)
