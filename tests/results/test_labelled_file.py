@@ -382,6 +382,8 @@ class TestSurvey:
         run("label", survey[1], tmp_path / "once.laz", "-o", tmp_path / "twice.laz", "--name", "thing")
         for name in ("label", "thing"):
             self.check(survey[0], tmp_path / "twice.laz", survey[1], name)
+        with pytest.raises(SystemExit, match=r"dimension label, got one; .* `torchjoint label \.\.\. --name NAME`"):
+            run("label", survey[1], tmp_path / "once.laz", "-o", tmp_path / "third.laz")
 
     def test_the_survey_stays(self, survey, run):
         before = survey[0].read_bytes()
@@ -406,6 +408,11 @@ class TestSurvey:
             run("export", survey[1], "--format", "las", "-o", tmp_path / "out")
         with pytest.raises(SystemExit, match="expected no dimension quality, got one; remove it first"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "quality")
+        for name in ("x" * 33, "x" * 22):  # the second with _confidence
+            with pytest.raises(
+                SystemExit, match=r"--name: expected at most 32 bytes for a dimension of site\.laz, got x"
+            ):
+                run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", name)
         with pytest.raises(SystemExit, match="expected no dimension x, got one"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "x")
         assert list(tmp_path.iterdir()) == []

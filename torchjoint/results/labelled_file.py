@@ -35,11 +35,17 @@ from torchjoint.scene.checks import without_return
 _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 
 
-def check_dimension(path: Path, name: str) -> None:
-    """Checks that a file does not have a dimension yet."""
+#: The longest name of a dimension, bytes.
+LONGEST = 32
+
+
+def check_dimension(path: Path, name: str, way_out: str = "remove it first") -> None:
+    """Checks that a file can get a dimension: its name fits, and it is not there yet."""
+    if len(name.encode()) > LONGEST:
+        raise ValueError(f"--name: expected at most {LONGEST} bytes for a dimension of {path.name}, got {name}")
     with open_las(path) as reader:
         if name in {*reader.header.point_format.dimension_names, *"xyz"}:
-            raise ValueError(f"{path}: expected no dimension {name}, got one; remove it first")
+            raise ValueError(f"{path}: expected no dimension {name}, got one; {way_out}")
 
 
 def write_labelled(
@@ -148,7 +154,7 @@ def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
     sure = result.point_confidence
     sureness = "confidence" if name == "label" else f"{name}_confidence"  # a file may be labelled more than once
     for one in [name] if sure is None else [name, sureness]:
-        check_dimension(source, one)
+        check_dimension(source, one, "remove it first, or choose a name: `torchjoint label ... --name NAME`")
     points = las.read_las(source).points
     with damage_is(str(source)):
         nearest = nearest_points(result, points)
