@@ -172,7 +172,9 @@ def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
     kind = lazrs.LazVlr(reader.header.vlrs.get("LasZipVlr")[0].record_data)
     with path.open("rb") as stream:
         stream.seek(header.points_at)
-        *full, last = lazrs.read_chunk_table(stream, kind)
+        if not (chunks := lazrs.read_chunk_table(stream, kind)):
+            raise ValueError(f"truncated: {header.num_points} points in its header, no chunks of points")
+        *full, last = chunks
         before = sum(count for count, _ in full)
         low, high = last[0] if kind.uses_variable_size_chunks() else 1, last[0]
         if low == 1 and reader.header.point_format.id >= 6:  # the number stands behind the first point
