@@ -14,7 +14,7 @@ from splat_files import splat_file, splat_rows
 
 import torchjoint as tj
 from torchjoint.datasets.files import meshes
-from torchjoint.datasets.files.ply import read_ply, read_vertex_property
+from torchjoint.datasets.files.ply import read_ply, read_vertex_property, write_cloud
 from torchjoint.datasets.formats import cloud_alone
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.folder import write_result
@@ -266,6 +266,15 @@ def test_a_file_that_was_moved_is_told():
     assert torch.equal(nearest_labels(result, points[order] + 0.25), order)
     with pytest.warns(UserWarning, match="farther than 5 m, whose neighbours are 1 m apart; was the file moved"):
         nearest_labels(result, points + torch.tensor([0.0, 0, 5]))
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".ply"])
+def test_a_mesh_that_was_moved_is_told_once(tmp_path, suffix):
+    points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
+    write_cloud(tmp_path / "a.ply", points + torch.tensor([0.0, 0, 5]), faces=torch.tensor([[0, 1, 20], [1, 20, 21]]))
+    with pytest.warns(UserWarning, match="was the file moved") as told:
+        label_file(tmp_path / "a.ply", tmp_path / f"b{suffix}", result_of(points, torch.arange(400)))
+    assert len(told) == 1
 
 
 def test_the_property_comes_last_in_any_header(tmp_path):

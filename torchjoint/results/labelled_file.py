@@ -193,7 +193,9 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
     mesh = _read(source)
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
-        of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it has been told of the vertices
+            of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
         if out.suffix == ".glb":
             _write_glb(out, mesh, of_face, result)
         elif source.suffix.lower() != ".ply":
