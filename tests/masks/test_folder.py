@@ -86,7 +86,10 @@ def test_a_coco_file(tmp_path):
     with pytest.raises(ValueError, match=r"instances\.json: .*: image 0 is there twice"):  # both had the masks of both
         tj.masks.read_folder(path, scene_of("a", "b"))
     path.write_text(json.dumps(annotations))
-    with pytest.raises(ValueError, match=r"instances\.json: expected a COCO data set with images and annotations"):
+    told = (
+        r"instances\.json: expected a COCO data set .*; a list of results is for tj\.masks\.from_coco, image by image"
+    )
+    with pytest.raises(ValueError, match=told):
         tj.masks.read_folder(path, scene_of("a"))
 
 

@@ -73,7 +73,8 @@ class CocoFile:
         self._path = path
         data = read_json(path, "a COCO data set")
         if not isinstance(data, dict) or not {"images", "annotations"} <= set(data):
-            raise ValueError(f"{path}: expected a COCO data set with images and annotations")
+            told = "a list of results is for tj.masks.from_coco, image by image"
+            raise ValueError(f"{path}: expected a COCO data set with images and annotations; {told}")
         with damage_is(f"{path}: expected images with file_name and id, annotations with image_id"):
             self._images = {Path(image["file_name"]).stem: image for image in data["images"]}
             self._annotations = dict_of([(image["id"], []) for image in data["images"]], "image")
