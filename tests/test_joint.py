@@ -616,6 +616,15 @@ def test_a_segmenter_can_be_pickled(synthetic, method):
     assert torch.equal(again.compute(images=False).points, segmenter.compute(images=False).points)
 
 
+def test_a_segmentation_can_be_pickled(synthetic):
+    scene = dataclasses.replace(synthetic.scene, frames=synthetic.scene.frames[:2])
+    result = tj.JointSegmenter(CONFIG)(scene)
+    again = pickle.loads(pickle.dumps(result))
+    for name in ("images", "initial_images", "superpoint_images"):
+        assert all(map(torch.equal, getattr(again, name), getattr(result, name)))
+    assert all(map(torch.equal, again.at(0.3).images, result.at(0.3).images))
+
+
 def test_what_cannot_be_is_told_before_all_frames(synthetic):
     with pytest.raises(ValueError, match=r"granularity: expected 0\.5, because method paper has one level"):
         tj.JointSegmenter(PAPER, granularity=0.3).reset(synthetic.scene.points)

@@ -51,6 +51,12 @@ def test_help_has_an_example_and_names_values_as_the_text_does(run, capsys, comm
     assert (f"Example: torchjoint {command} " in text) == bool(COMMANDS[command].example)
 
 
+def test_help_behind_an_argument_is_that_of_the_command(run, capsys):
+    with pytest.raises(SystemExit):
+        run("edits", "import", "--help")
+    assert "usage: torchjoint edits [-h] {import} RESULT FILE" in capsys.readouterr().out
+
+
 def test_closed_streams(tmp_path):
     """With `>&- 2>&-` Python has no streams, and files that a program opens would get their numbers."""
     np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).random((500, 3)))

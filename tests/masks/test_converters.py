@@ -151,6 +151,15 @@ class TestCoco:
         stack = tj.masks.from_coco([{"segmentation": corners}], (3, 4)).stack()
         assert stack[0].nonzero().tolist() == [[0, 0], [2, 3]]
 
+    def test_groups_of_things_are_left_out(self):
+        group, thing = (
+            {"segmentation": {"size": [3, 4], "counts": COUNTS[i]}, "iscrowd": 1 - i, "id": i} for i in (0, 1)
+        )
+        with pytest.warns(UserWarning, match=r"annotations: 1 of 2 masks are groups of things \(iscrowd: 1\)"):
+            masks = tj.masks.from_coco([group, thing], (3, 4))
+        assert_equal(masks, STACK[1:], [1])
+        assert masks.ids == (1,)
+
     @pytest.mark.parametrize(
         ("segmentation", "message"),
         [

@@ -86,8 +86,23 @@ def test_a_coco_file(tmp_path):
     with pytest.raises(ValueError, match=r"instances\.json: .*: image 0 is there twice"):  # both had the masks of both
         tj.masks.read_folder(path, scene_of("a", "b"))
     path.write_text(json.dumps(annotations))
-    with pytest.raises(ValueError, match=r"instances\.json: expected a COCO data set with images and annotations"):
+    told = (
+        r"instances\.json: expected a COCO data set .*; a list of results is for tj\.masks\.from_coco, image by image"
+    )
+    with pytest.raises(ValueError, match=told):
         tj.masks.read_folder(path, scene_of("a"))
+
+
+def test_groups_in_a_coco_file_are_left_out(tmp_path):
+    images = [{"id": i, "file_name": f"{name}.jpg", "height": 6, "width": 8} for i, name in enumerate("ab")]
+    record = {"segmentation": {"size": SIZE, "counts": [48]}}
+    annotations = [record | {"image_id": i, "iscrowd": crowd} for i in range(2) for crowd in (1, 0)]
+    path = tmp_path / "instances.json"
+    path.write_text(json.dumps({"images": images, "annotations": annotations}))
+    with pytest.warns(UserWarning, match=r"instances\.json: 2 of 4 masks are groups of things") as told:
+        frames = list(tj.masks.read_folder(path, scene_of("a", "b")).frames)
+    assert [len(frame.masks) for frame in frames] == [1, 1]
+    assert len(told) == 1
 
 
 def test_a_coco_file_of_cvat(tmp_path):

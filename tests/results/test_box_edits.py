@@ -23,7 +23,13 @@ from torchjoint.results.boxes import (
     read_boxes,
     segmentsai_label,
 )
-from torchjoint.results.exports.boxes import export_cuboids, export_cvat, export_labelcloud, export_openpcdet
+from torchjoint.results.exports.boxes import (
+    export_cuboids,
+    export_cvat,
+    export_geojson,
+    export_labelcloud,
+    export_openpcdet,
+)
 from torchjoint.results.folder import write_result
 
 
@@ -110,6 +116,13 @@ def test_a_tilted_scene_is_told(tmp_path):
     result = tj.Result.of(tj.Segmentation(labels, images, names=("a",)), tj.Scene(lying, [frame]))
     with pytest.warns(UserWarning, match="boxes stand along z, but up in this scene is 90 degrees away"):
         export_openpcdet(tmp_path / "boxes.txt", result)
+    with (
+        pytest.warns(UserWarning, match="footprints are seen along z, but up in this scene is 90 degrees away"),
+        pytest.warns(
+            UserWarning, match=r"a\.geojson: no coordinate system .*: programs will take the metres for degrees"
+        ),
+    ):
+        export_geojson(tmp_path / "a.geojson", result)
 
 
 @pytest.mark.parametrize("export", [export_openpcdet, export_labelcloud, export_cuboids, export_cvat])

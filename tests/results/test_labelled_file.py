@@ -14,8 +14,9 @@ from splat_files import splat_file, splat_rows
 
 import torchjoint as tj
 from torchjoint.datasets.files import meshes
-from torchjoint.datasets.files.ply import read_ply, read_vertex_property
+from torchjoint.datasets.files.ply import read_ply, read_vertex_property, write_cloud
 from torchjoint.datasets.formats import cloud_alone
+from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.folder import write_result
 from torchjoint.results.labelled_file import label_file, nearest_labels, part_files
 
@@ -267,6 +268,15 @@ def test_a_file_that_was_moved_is_told():
         nearest_labels(result, points + torch.tensor([0.0, 0, 5]))
 
 
+@pytest.mark.parametrize("suffix", [".glb", ".ply"])
+def test_a_mesh_that_was_moved_is_told_once(tmp_path, suffix):
+    points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
+    write_cloud(tmp_path / "a.ply", points + torch.tensor([0.0, 0, 5]), faces=torch.tensor([[0, 1, 20], [1, 20, 21]]))
+    with pytest.warns(UserWarning, match="was the file moved") as told:
+        label_file(tmp_path / "a.ply", tmp_path / f"b{suffix}", result_of(points, torch.arange(400)))
+    assert len(told) == 1
+
+
 def test_the_property_comes_last_in_any_header(tmp_path):
     """Its values stand at the end of each row."""
     file, out = tmp_path / "a.ply", tmp_path / "b.ply"
@@ -381,6 +391,8 @@ class TestSurvey:
         run("label", survey[1], tmp_path / "once.laz", "-o", tmp_path / "twice.laz", "--name", "thing")
         for name in ("label", "thing"):
             self.check(survey[0], tmp_path / "twice.laz", survey[1], name)
+        with pytest.raises(SystemExit, match=r"dimension label, got one; .* `torchjoint label \.\.\. --name NAME`"):
+            run("label", survey[1], tmp_path / "once.laz", "-o", tmp_path / "third.laz")
 
     def test_the_survey_stays(self, survey, run):
         before = survey[0].read_bytes()
@@ -389,11 +401,27 @@ class TestSurvey:
                 run(*command, survey[0])
         assert survey[0].read_bytes() == before
 
+    def test_copc_is_not_written(self, survey, run, tmp_path):
+        out, told = tmp_path / "out.copc.laz", rf"got {tmp_path}/out\.copc\.laz: COPC is read but not written"
+        for command in (["label", survey[1], survey[0]], ["export", survey[1], "--format", "las"]):
+            with pytest.raises(SystemExit, match=told):
+                run(*command, "-o", out)
+        with pytest.raises(ValueError, match="COPC is read but not written"):
+            export_las(out, tj.load_result(survey[1]))
+        assert list(tmp_path.iterdir()) == []
+
     def test_what_cannot_be(self, survey, run, tmp_path):
-        with pytest.raises(SystemExit, match=r"out\.ply: expected \.las or \.laz for site\.laz"):
+        with pytest.raises(SystemExit, match=rf"{tmp_path}/out\.ply: expected \.las or \.laz for site\.laz"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.ply")
+        with pytest.raises(SystemExit, match=rf"{tmp_path}/out: expected \.las or \.laz for site\.laz"):
+            run("export", survey[1], "--format", "las", "-o", tmp_path / "out")
         with pytest.raises(SystemExit, match="expected no dimension quality, got one; remove it first"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "quality")
+        for name in ("x" * 33, "x" * 22):  # the second with _confidence
+            with pytest.raises(
+                SystemExit, match=r"--name: expected at most 32 bytes for a dimension of site\.laz, got x"
+            ):
+                run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", name)
         with pytest.raises(SystemExit, match="expected no dimension x, got one"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "x")
         assert list(tmp_path.iterdir()) == []

@@ -39,6 +39,15 @@ def test_a_new_one_and_then_another(out):
     assert list(out.parent.iterdir()) == [out]
 
 
+def test_errors_name_the_path_that_was_given(out):
+    def fail():
+        with Output(out, overwrite=False).written() as path:
+            raise ValueError(f"{path}: expected .las or .laz")
+
+    with pytest.raises(ValueError, match=f"^{out}: expected .las or .laz$"):
+        fail()
+
+
 @pytest.mark.parametrize("before", [None, "old"])
 def test_what_comes_meanwhile_stays(out, before):
     if before:

@@ -82,6 +82,8 @@ def _call(function: Callable[..., None], program: str, arguments: list[str], exa
     import tyro
 
     _name_values(function)
+    if {"-h", "--help"} & set(arguments):  # tyro would leave out what stands before it: the `import` of `edits import`
+        arguments = ["--help"]
     text = cleandoc(function.__doc__ or "").partition("\n\nArgs:")[0]
     text = f"Example: {program} {example}\n\n{text}" if example else text
     tyro.cli(function, prog=program, args=arguments, description=text, config=(tyro.conf.FlagCreatePairsOff,))

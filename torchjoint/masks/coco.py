@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,8 @@ def from_coco(
 
     Args:
         annotations: a dict for each mask: ``segmentation`` (polygons, or run lengths, compressed or not), and an
-            optional ``score`` in [0, 1]. If all have an ``id``, the masks have it, too.
+            optional ``score`` in [0, 1]. If all have an ``id``, the masks have it, too. Groups of things
+            (``iscrowd: 1``) are left out, with a warning; indices in messages do not count them.
         size: (H, W) of the image.
         categories: names of ``category_id``; then the masks have names.
 
@@ -33,6 +35,7 @@ def from_coco(
     >>> from_coco([{"segmentation": [[1, 0, 3, 0, 3, 2, 1, 2]]}], (2, 4))
     Masks(1 masks, 2 x 4 pixels, 50% covered)
     """
+    annotations = _without_groups(annotations, "annotations")
     scores = torch.tensor([_score(one, f"annotations[{i}]") for i, one in enumerate(annotations)], dtype=torch.float32)
     check_declared((annotation["segmentation"] for annotation in annotations), size, "annotations")
     masks = (
@@ -43,6 +46,15 @@ def from_coco(
     ids = [one["id"] for one in annotations if isinstance(one.get("id"), int)]
     names = [str(categories.get(one.get("category_id", -1), "")) for one in annotations] if categories else []
     return replace(found, ids=tuple(ids) if len(ids) == len(found) else (), names=tuple(names))
+
+
+def _without_groups(annotations: Sequence[Mapping[str, Any]], name: str) -> list[Mapping[str, Any]]:
+    """The annotations of single things. CVAT says iscrowd of each mask of its brush, and alone writes attributes."""
+    groups = [isinstance(one, Mapping) and one.get("iscrowd") == 1 and "attributes" not in one for one in annotations]
+    if any(groups):
+        told = f"{sum(groups)} of {len(groups)} masks are groups of things (iscrowd: 1); they are left out"
+        warnings.warn(f"{name}: {told}", stacklevel=3)
+    return [one for one, is_group in zip(annotations, groups, strict=True) if not is_group]
 
 
 def _score(annotation: Mapping[str, Any], name: str) -> float:
@@ -61,11 +73,12 @@ class CocoFile:
         self._path = path
         data = read_json(path, "a COCO data set")
         if not isinstance(data, dict) or not {"images", "annotations"} <= set(data):
-            raise ValueError(f"{path}: expected a COCO data set with images and annotations")
+            told = "a list of results is for tj.masks.from_coco, image by image"
+            raise ValueError(f"{path}: expected a COCO data set with images and annotations; {told}")
         with damage_is(f"{path}: expected images with file_name and id, annotations with image_id"):
             self._images = {Path(image["file_name"]).stem: image for image in data["images"]}
             self._annotations = dict_of([(image["id"], []) for image in data["images"]], "image")
-            for annotation in data["annotations"]:
+            for annotation in _without_groups(data["annotations"], str(path)):
                 self._annotations[annotation["image_id"]].append(annotation)
             named = [(one["id"], str(one["name"])) for one in data.get("categories", []) if "name" in one]
             self._categories = dict_of(named, "category")

@@ -35,11 +35,17 @@ from torchjoint.scene.checks import without_return
 _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 
 
-def check_dimension(path: Path, name: str) -> None:
-    """Checks that a file does not have a dimension yet."""
+#: The longest name of a dimension, bytes.
+LONGEST = 32
+
+
+def check_dimension(path: Path, name: str, way_out: str = "remove it first") -> None:
+    """Checks that a file can get a dimension: its name fits, and it is not there yet."""
+    if len(name.encode()) > LONGEST:
+        raise ValueError(f"--name: expected at most {LONGEST} bytes for a dimension of {path.name}, got {name}")
     with open_las(path) as reader:
         if name in {*reader.header.point_format.dimension_names, *"xyz"}:
-            raise ValueError(f"{path}: expected no dimension {name}, got one; remove it first")
+            raise ValueError(f"{path}: expected no dimension {name}, got one; {way_out}")
 
 
 def write_labelled(
@@ -148,7 +154,7 @@ def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
     sure = result.point_confidence
     sureness = "confidence" if name == "label" else f"{name}_confidence"  # a file may be labelled more than once
     for one in [name] if sure is None else [name, sureness]:
-        check_dimension(source, one)
+        check_dimension(source, one, "remove it first, or choose a name: `torchjoint label ... --name NAME`")
     points = las.read_las(source).points
     with damage_is(str(source)):
         nearest = nearest_points(result, points)
@@ -181,12 +187,15 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
         raise ValueError(f"{out}: expected .las or .laz for {source.name}" if is_survey[0] else
                          f"{source}: expected .las or .laz for {out.name}")  # fmt: skip
     if is_survey[0]:
+        las.check_no_copc(out)
         _label_survey(source, out, result, name)
         return
     mesh = _read(source)
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
-        of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it has been told of the vertices
+            of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
         if out.suffix == ".glb":
             _write_glb(out, mesh, of_face, result)
         elif source.suffix.lower() != ".ply":

@@ -308,13 +308,18 @@ class Output:
 
     @contextmanager
     def written(self) -> Iterator[Path]:
-        """Yields a path of the same name in a new folder beside it. What is there at the end takes its place."""
+        """Yields a path of the same name in a new folder beside it. What is there at the end takes its place.
+
+        Messages of errors name the path itself in place of the one beside it, which users do not know.
+        """
         beside = Path(tempfile.mkdtemp(dir=self.path.parent, prefix=PARTIAL))
         new = beside / self.path.name
         try:
             yield new
             put(new, self.path, self._before, beside / f"{PARTIAL}replaced")
-        except BaseException:
+        except BaseException as error:
+            known = (one.replace(str(new), str(self.path)) if isinstance(one, str) else one for one in error.args)
+            error.args = tuple(known)
             shutil.rmtree(new, ignore_errors=True) if new.is_dir() else new.unlink(missing_ok=True)
             with suppress(OSError):  # it holds what could not be put back
                 beside.rmdir()

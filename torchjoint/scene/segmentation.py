@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Self
 
 import torch
@@ -35,18 +35,25 @@ def level_images(
             else -1.
     """
     known = torch.cat([table.new_full((1,), -1), table])  # -1 stays -1
+    return LazySequence(len(images), partial(_of_level, images, num_before, known, num_after, superpoints))
 
-    @one_thread_per_operation()
-    def level(index: int) -> Tensor:
-        labels = images[index]
-        private = labels >= num_before
-        of_table = labels.masked_fill(private, -1) if superpoints is None else superpoints[index]
-        if of_table.shape != labels.shape:
-            raise ValueError(f"superpoints of image {index}: expected {list(labels.shape)}, got {list(of_table.shape)}")
-        found = known.index_select(0, of_table.reshape(-1) + 1).view(labels.shape)
-        return torch.where(private, labels + (num_after - num_before), found)
 
-    return LazySequence(len(images), level)
+@one_thread_per_operation()
+def _of_level(
+    images: Sequence[Tensor],
+    num_before: int,
+    known: Tensor,
+    num_after: int,
+    superpoints: Sequence[Tensor] | None,
+    index: int,
+) -> Tensor:
+    labels = images[index]
+    private = labels >= num_before
+    of_table = labels.masked_fill(private, -1) if superpoints is None else superpoints[index]
+    if of_table.shape != labels.shape:
+        raise ValueError(f"superpoints of image {index}: expected {list(labels.shape)}, got {list(of_table.shape)}")
+    found = known.index_select(0, of_table.reshape(-1) + 1).view(labels.shape)
+    return torch.where(private, labels + (num_after - num_before), found)
 
 
 class LabelImages(LazySequence[Tensor]):

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from torchjoint.config import SuperpointsConfig
-from torchjoint.datasets.files.las import SUFFIXES
+from torchjoint.datasets.files.las import COPC, SUFFIXES, check_no_copc
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import EngineLike, open_engine
 from torchjoint.results.labelled_file import check_dimension, write_labelled
@@ -37,7 +37,6 @@ from torchjoint.tiles.tile import TileTask, point_type, read_own, read_shared, s
 DIMENSION = "superpoint"
 #: Most points of a tile with its buffer: segmenting them takes about 0.7 GB.
 MOST_POINTS = 2_000_000
-COPC = ".copc.laz"
 #: The name of the engine that starts no worker.
 HERE = "loky:1"
 #: The default buffer, in typical distances of neighbouring points.
@@ -161,11 +160,7 @@ def _check_sizes(tile: float | None, buffer: float | None) -> None:
 def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool) -> None:
     if not cloud.is_dir() and out.suffix.lower() not in SUFFIXES:
         raise ValueError(f"out: expected a file that ends in .las or .laz, got {out}")
-    if out.name.lower().endswith(COPC):
-        raise ValueError(
-            f"out: expected a name that ends in .laz, got {out}: COPC is read but not written, because it prescribes "
-            "another order of points (untwine or `pdal translate` converts a .laz to COPC)"
-        )
+    check_no_copc(out)
     if not out.parent.is_dir():
         raise FileNotFoundError(f"out: expected an existing folder, got {out.parent}")
     check_no_input(out, (cloud, *files), "out")

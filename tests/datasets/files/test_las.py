@@ -66,3 +66,16 @@ def test_lengths_that_are_no_metres(tmp_path, record, unit):
         _bounds([path])
     message = f"{path}: its coordinate system has {unit}; they are taken as metres"
     assert [str(one.message) for one in told] == ([] if unit is None else [message] * 2)
+
+
+@pytest.mark.parametrize("points_of_header", [0, 3])
+def test_a_file_without_chunks(tmp_path, points_of_header):
+    """As a program leaves it that was stopped before it wrote points."""
+    path = tmp_path / "a.laz"
+    laspy.LasData(laspy.LasHeader(point_format=3, version="1.2")).write(path)
+    data = bytearray(path.read_bytes())
+    data[107:111] = points_of_header.to_bytes(4, "little")
+    path.write_bytes(data)
+    told = "3 points in its header, no chunks of points" if points_of_header else "no points"
+    with pytest.raises(ValueError, match=rf"a\.laz: not a whole LAS file: .*{told}"):
+        read_las(path)

@@ -135,6 +135,27 @@ def test_a_camera_that_zooms_is_told(tmp_path):
         tj.load_scene(ros.record(tmp_path / "walk", messages), voxel_size=0.1)
 
 
+def test_the_latest_transform_of_a_fixed_frame_counts(tmp_path):
+    again = ("/tf_static", 1.0, ros.transforms(1.0, "base", "camera_optical", (0, 0, 0.7)))
+    frames = tj.load_scene(ros.record(tmp_path / "walk", [*ros.messages(), again]), voxel_size=0.1).frames
+    assert [round(-frame.world_to_camera[2, 3].item(), 3) for frame in frames] == [0.7, 0.7]
+
+
+@pytest.mark.parametrize("frame", ["camera_optical", "left_optical"])
+def test_a_right_camera_in_the_frame_of_the_left_is_told(frame, tmp_path):
+    names = {"/camera/image_raw": "/right/image_rect", "/camera/camera_info": "/right/camera_info"}
+    messages = [(names.get(topic, topic), time, message) for topic, time, message in ros.messages()]
+    for topic, _, message in messages:
+        if topic == "/right/camera_info":
+            message.p[3] = -1.2
+    bag = ros.record(tmp_path / "pair", [*messages, ("/left/camera_info", 0.0, ros.camera_info(0.0, frame))])
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        tj.load_scene(bag, voxel_size=0.1, topics={"info": "/right/camera_info"})
+    expected = "another camera has the frame 'camera_optical', too; P of /right/camera_info has a shift"
+    assert [expected in str(one.message) for one in told] == [True] * (frame == "camera_optical")
+
+
 def test_two_parents_of_one_frame_are_no_tree(tmp_path):
     """Their poses would be taken for those of one world."""
     other = [("/tf", 0.1 * index, ros.transforms(0.1 * index + 0.001, "map", "base", (9, 0, 0))) for index in range(2)]
@@ -145,6 +166,14 @@ def test_two_parents_of_one_frame_are_no_tree(tmp_path):
     bag = ros.record(tmp_path / "posed", [*ros.messages(), *other, *right])
     frames = tj.load_scene(bag, voxel_size=0.1, topics={"odometry": "/pose"}).frames
     assert [round(-frame.world_to_camera[0, 3].item(), 2) for frame in frames] == [0.04, 1]
+
+
+def test_images_of_several_frames_have_no_common_pose(tmp_path):
+    other = ("/camera/image_raw", 0.05, ros.image(0.05, ros.colors(2), "bgr8", "rear_optical"))
+    bag = ros.record(tmp_path / "walk", [*ros.messages(), other])
+    told = r"/camera/image_raw: expected messages of one frame \(frame_id\), got 'camera_optical', 'rear_optical'"
+    with pytest.raises(ValueError, match=told):
+        tj.load_scene(bag, voxel_size=0.1)
 
 
 def test_scans_of_another_tree_have_no_place(tmp_path):

@@ -28,6 +28,7 @@ from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".las", ".laz")
+COPC = ".copc.laz"
 #: Points that are read at a time; a chunk of LAZ has 50,000.
 CHUNK = 1_000_000
 #: Sizes of the header's fixed part, of the header of a variable length record, and of an extended one, bytes.
@@ -85,6 +86,15 @@ def _system(reader: Any) -> tuple[str, dict[int, int]]:
     records = [*reader.header.vlrs, *(reader.evlrs or ())]
     text = next((one.string for one in records if type(one).__name__ == "WktCoordinateSystemVlr"), "")
     return text, {key.id: key.value_offset for one in records for key in getattr(one, "geo_keys", ())}
+
+
+def check_no_copc(out: Path) -> None:
+    """Checks that the name of a new file does not promise COPC."""
+    if out.name.lower().endswith(COPC):
+        raise ValueError(
+            f"out: expected a name that ends in .laz, got {out}: COPC is read but not written, because it prescribes "
+            "another order of points (untwine or `pdal translate` converts a .laz to COPC)"
+        )
 
 
 @contextmanager
@@ -162,7 +172,9 @@ def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
     kind = lazrs.LazVlr(reader.header.vlrs.get("LasZipVlr")[0].record_data)
     with path.open("rb") as stream:
         stream.seek(header.points_at)
-        *full, last = lazrs.read_chunk_table(stream, kind)
+        if not (chunks := lazrs.read_chunk_table(stream, kind)):
+            raise ValueError(f"truncated: {header.num_points} points in its header, no chunks of points")
+        *full, last = chunks
         before = sum(count for count, _ in full)
         low, high = last[0] if kind.uses_variable_size_chunks() else 1, last[0]
         if low == 1 and reader.header.point_format.id >= 6:  # the number stands behind the first point

@@ -84,15 +84,24 @@ class Bag:
         raise ValueError(f"{self.path}: expected messages of topic {topic}, got none")
 
     def stamps(self, topic: str) -> list[Stamp]:
-        """The messages of a topic that have a header, sorted by time; of equal times only the first."""
+        """The messages of a topic that have a header, sorted by time; of equal times only the first.
+
+        Raises:
+            ValueError: they have different frames, so one pose and one camera do not fit all.
+        """
         found: dict[float, Stamp] = {}
+        frames = set()
         before, place = -1, 0
         with self._opened() as reader:
             for _, recorded, data in reader.messages(_connections(reader, topic)):
                 place = place + 1 if recorded == before else 0
                 before = recorded
-                time = _header_time(data, reader.is2)
+                time, frame = _header(data, reader.is2)
+                frames.add(frame)
                 found.setdefault(time, Stamp(time, recorded, place))
+        if len(frames) > 1:
+            told = f"got {', '.join(map(repr, sorted(frames)[:5]))}; write a topic for each"
+            raise ValueError(f"{self.path}: {topic}: expected messages of one frame (frame_id), {told}")
         return [found[time] for time in sorted(found)]
 
     def read(self, topic: str, stamp: Stamp) -> Any:
@@ -239,14 +248,15 @@ def _connections(reader: Any, topic: str) -> Sequence[Any]:
     return [connection for connection in reader.connections if connection.topic == topic]
 
 
-def _header_time(data: bytes, is_ros2: bool) -> float:
-    """The time in a message's header, seconds; the message, maybe a large image, is not decoded.
+def _header(data: bytes, is_ros2: bool) -> tuple[float, str]:
+    """The time in a message's header, seconds, and its frame; the message, maybe a large image, is not decoded.
 
     ROS 2 writes four bytes about the encoding, then seconds and nanoseconds. ROS 1 writes a number, then the same two.
     """
     order = "<" if not is_ros2 or data[1] & 1 else ">"
-    seconds, nanoseconds = struct.unpack_from(f"{order}{'i' if is_ros2 else 'I'}I", data, 4)
-    return float(seconds + nanoseconds * 1e-9)
+    seconds, nanoseconds, length = struct.unpack_from(f"{order}{'i' if is_ros2 else 'I'}II", data, 4)
+    frame = bytes(data[16 : 16 + min(length, 200)]).decode(errors="replace").rstrip("\0").lstrip("/")
+    return float(seconds + nanoseconds * 1e-9), frame
 
 
 def unpack(make: Callable[[], Any], packed: bytes) -> bytes:

@@ -254,5 +254,7 @@ class Poses:
             raise ValueError(f"{self.bag.path}: expected finite transforms of frame {child}, got {row}")
         self._parents[child] = header.frame_id.lstrip("/")
         self._all_parents.setdefault(child, set()).add(self._parents[child])
+        if fixed and self._fixed.get(child):  # as in tf2, the latest counts
+            del self._rows[child]
         self._fixed[child] = fixed
         self._rows.setdefault(child, {}).setdefault(time, row)

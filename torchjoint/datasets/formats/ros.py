@@ -177,6 +177,8 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
         warnings.warn(f"{bag.path}: {topics.info}: {told}", stacklevel=3)
     if has_region(info):
         _, *size = color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape
+    if rectified:
+        _tell_shift(bag, topics, info)
     lens = camera(info, rectified, f"{bag.path}: {topics.info}", (size[0], size[1]) if size else None)
     shots = []
     for index, pose in posed:
@@ -186,6 +188,16 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
         color = partial(_read, color_image, bag, topics.color, colors[index], name)
         shots.append(Shot(color, lens, invert_pose(pose), name, depth))
     return read_shots(shots)
+
+
+def _tell_shift(bag: Bag, topics: _Topics, info: Any) -> None:
+    """P of the right camera of a stereo pair has a shift; only if it has the left one's frame, the pose may lack it."""
+    frame, P = _frame(bag.first(topics.color)), matrices_of(info)[1]
+    if (P[3] or P[7]) and sum(_frame(bag.first(topic)) == frame for topic in bag.topics(INFO)) > 1:
+        told = (
+            f"another camera has the frame {frame!r}, too; P of {topics.info} has a shift, as of a stereo pair's right"
+        )
+        warnings.warn(f"{bag.path}: {told} camera, which is not applied; check the poses", stacklevel=4)
 
 
 def _read(convert: Callable[[Any, str], Tensor], bag: Bag, topic: str, stamp: Stamp, name: str) -> Tensor:

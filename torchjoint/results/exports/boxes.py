@@ -51,10 +51,15 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     Args:
         path: of the file; QGIS, GDAL and GeoPandas read it.
         result: with places in metres, or in the unit of the survey.
-        epsg: EPSG code of the cloud's coordinate system, named as GeoJSON of 2008 did; None: the file names none.
+        epsg: EPSG code of the cloud's coordinate system, named as GeoJSON of 2008 did; None: the file names none, which
+            a warning tells.
     """
     import cv2
 
+    _tell_leaning(result, "footprints are seen")
+    if epsg is None:
+        told = "no coordinate system of the cloud is known: programs will take the metres for degrees; set it there"
+        warnings.warn(f"{path.name}: {told}", stacklevel=3)
     features = []
     for row in _rows(result):
         places = result.scene.points[result.points == row[0], :2].double().numpy()
@@ -122,11 +127,13 @@ def export_point_labels(path: Path, result: Result) -> None:
 
 def _upright_boxes(result: Result) -> dict[int, Box]:
     """The boxes of the segments; a warning tells if they lean."""
+    _tell_leaning(result, "boxes stand")
+    return boxes_of(result)
+
+
+def _tell_leaning(result: Result, what: str) -> None:
     up = float(up_direction(result.scene)[2])
     angle = math.degrees(math.acos(max(-1.0, min(1.0, up))))
     if angle > LEVEL:
-        warnings.warn(
-            f"boxes stand along z, but up in this scene is {angle:.0f} degrees away from it; turn the cloud first",
-            stacklevel=4,
-        )
-    return boxes_of(result)
+        told = f"up in this scene is {angle:.0f} degrees away from it; turn the cloud first"
+        warnings.warn(f"{what} along z, but {told}", stacklevel=5)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from torchjoint.datasets.files.las import check_no_copc
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import atomic_write, file_name, frame_files
@@ -32,6 +33,7 @@ def export_las(path: Path, result: Result) -> None:
     Coordinates are kept to a tenth of a millimetre, or, with a warning, to what 32 bits can hold. A result with a
     confidence also has it at each point, as the extra dimension `confidence` (float32).
     """
+    check_no_copc(path)
     with needed_for("--format las", "laspy", "torchjoint[export]"):
         import laspy
     points = result.scene.points.double().numpy()
