@@ -39,7 +39,7 @@ def labels_of(path):
     return torch.from_numpy(laspy.read(path)["superpoint"].astype(np.int64))
 
 
-def test_one_tile_is_the_cloud_in_one_superpoint_and_all_else_stays(cloud, tmp_path):
+def test_one_tile_is_the_cloud_in_one_piece_and_all_else_stays(cloud, tmp_path):
     made = superpoints_of_files(cloud, tmp_path / "out.laz")
     before, after = laspy.read(cloud), laspy.read(tmp_path / "out.laz")
     expected = tj.superpoints(torch.from_numpy(before.xyz.copy()), torch.full((8_000, 3), 30000 / 65535))

@@ -190,7 +190,7 @@ def test_a_point_moves_only_to_a_neighbour(seen) -> None:
     assert moved(seen, [0, 0, 0, 1, 2, 2], [HALVES]) == [0, 0, 0, 1, 2, 2]
 
 
-def test_a_superpoint_that_only_a_lost_one_would_fill_is_not_lost(seen, monkeypatch) -> None:
+def test_a_superpoint_that_a_lost_one_would_fill_is_not_lost(seen, monkeypatch) -> None:
     # Point 2, all of superpoint 1, would go to superpoint 2, and point 3, all of superpoint 2, to superpoint 3.
     wanted = torch.tensor([-1, -1, 2, 3, -1, -1])
     monkeypatch.setattr(mask_majority, "_wanted_regions", lambda *_: wanted)
