@@ -161,7 +161,7 @@ def measured(arguments: list[str]) -> dict[str, float]:
     return {"seconds": time.perf_counter() - start, "cpu": cpu, "peak_gb": peak / 1e9}
 
 
-def in_one_superpoint(path: Path, out: Path) -> None:
+def in_one_piece(path: Path, out: Path) -> None:
     """The call in memory, from file to file: reads the cloud and writes the labels."""
     import torch
 
@@ -217,7 +217,7 @@ def main() -> None:
     if arguments.command == "generate":
         generate(files[0], arguments.points)
     elif arguments.command == "one":
-        in_one_superpoint(*files)
+        in_one_piece(*files)
     elif arguments.command == "tiles":
         in_tiles(*files, *sizes)
     elif arguments.command == "likeness":

@@ -1,4 +1,4 @@
-"""Superpoints: an over-segmentation of a point cloud into small superpoints that do not cross object boundaries.
+"""Superpoints: an over-segmentation of a point cloud into small pieces that do not cross object boundaries.
 
 They use the graph of step 3, and need no images.
 """

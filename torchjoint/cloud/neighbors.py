@@ -122,7 +122,7 @@ def _reach_farther(points: Tensor, near: Array, reach: float, indices: Array) ->
             return
         thin = _tree(coordinates[kept])
         still_near = []
-        for rows in _superpoints(near):
+        for rows in _parts(near):
             index, distance = _query(thin, coordinates, rows, count, kept)
             indices[rows] = index
             still_near.append(rows[distance[:, -1] < reach])
@@ -139,7 +139,7 @@ def _query(tree: cKDTree, coordinates: Array, rows: Array, count: int, members: 
     return _without_self(rows, members[index], distance)
 
 
-def _superpoints(order: Array) -> Iterator[Array]:
+def _parts(order: Array) -> Iterator[Array]:
     """Blocks of points in the tree's order: consecutive queries then access the same memory."""
     for start in range(0, len(order), QUERIES):
         yield order[start : start + QUERIES]

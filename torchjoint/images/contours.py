@@ -100,7 +100,7 @@ EXPONENT = 3.0
 def close_contours(boundaries: Tensor, smoothing: float = SMOOTHING, exponent: float = EXPONENT) -> Tensor:
     """Close the contours of boundary maps, because a segmentation would leak through a gap of one pixel.
 
-    Each map becomes an ultrametric contour map (:func:`torchjoint.ops.ultrametric_contours`): a superpoint of contour
+    Each map becomes an ultrametric contour map (:func:`torchjoint.ops.ultrametric_contours`): a piece of contour
         has
     the mean boundary strength between the two regions that it separates. Contours lie between pixels. The pixels on
     both sides get the contour's strength, to the power of ``exponent``; all other pixels get 0. This suits eq. 2,

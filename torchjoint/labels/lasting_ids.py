@@ -15,7 +15,7 @@ class Changes(NamedTuple):
     """What became of the things of the result before."""
 
     born: tuple[int, ...]  #: ids of things that are new
-    gone: tuple[int, ...]  #: ids of things that are nowhere any more, or in superpoints
+    gone: tuple[int, ...]  #: ids of things that are nowhere any more, or in pieces
     merged: dict[int, int]  #: for each thing that is now in another one: the id of that one
     split: dict[int, int]  #: for each new thing that was a part of another one: the id of that one
 

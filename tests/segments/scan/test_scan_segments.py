@@ -79,7 +79,7 @@ def test_rings_are_drawn_together():
 
 
 @pytest.mark.parametrize("beams", [16, 32, 64])
-def test_few_beams_show_a_car_in_one_superpoint(beams):
+def test_few_beams_show_a_car_in_one_piece(beams):
     points, what = scan(((14.0, -2.0, -HEIGHT), (15.8, 2.0, 0.1)), beams=beams)  # nobody sees its roof
     labels = segment_scan(points)
     car = what == 1
