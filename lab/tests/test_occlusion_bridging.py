@@ -107,8 +107,8 @@ def test_a_share_of_the_lines_must_vote():
     row, z = observations[0].visible.row, planes.mean.clone()
     z[(row < 5) & (segment == RIGHT), 2] += 1.0  # in 5 of 8 rows the right side is elsewhere
     scene = segment, Planes(z, planes.normal), observations
-    assert is_bridged(scene, share=3 / 8)
-    assert not is_bridged(scene, share=0.4)
+    assert is_bridged(scene, agreeing_share=3 / 8)
+    assert not is_bridged(scene, agreeing_share=0.4)
 
 
 @pytest.mark.parametrize("strip_width", [1, 2])

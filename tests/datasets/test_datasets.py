@@ -275,6 +275,9 @@ def test_an_unknown_format_says_what_is_missing(tmp_path):
         (tmp_path / "tum" / name).write_text("x")
     with pytest.raises(ValueError, match=r"it has 2 \.txt, 1 folders\. The most similar one needs rgb\.txt and ground"):
         tj.load_scene(tmp_path / "tum")
+    (tmp_path / "empty" / "cloud.ply").write_text("x")
+    with pytest.raises(ValueError, match=r"it has 1 \.ply\. For a cloud alone, give the file: .*cloud\.ply\. The most"):
+        tj.load_scene(tmp_path / "empty")
 
 
 def test_clouds_keep_labels_for_other_tools(tmp_path):

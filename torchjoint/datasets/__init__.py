@@ -150,7 +150,7 @@ def _content(path: Path) -> str:
 
 def _cloud_inside(path: Path) -> str:
     inside = sorted(path.iterdir()) if has_folder(path) else []
-    found = [one for one in inside if has_file(one) and FORMATS["cloud_alone"].recognizes(one)]
+    found = [one for one in inside if has_file(one) and one.suffix.lower() in (".ply", ".pcd", ".las", ".laz", ".e57")]
     return f" For a cloud alone, give the file: {found[0]}." if found else ""
 
 
