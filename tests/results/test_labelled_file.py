@@ -229,14 +229,14 @@ def test_triangles_give_a_mesh_its_normals(tmp_path):
     ball = trimesh.creation.icosphere(subdivisions=5)
     points = torch.from_numpy(np.concatenate([ball.vertices, [[0, 0, 1.1]]]))  # the last has no triangle
     faces, outwards = torch.from_numpy(ball.faces).long(), torch.nn.functional.normalize(points, dim=1)
-    normals = cloud_alone.vertex_normals(points, faces)
+    normals = cloud_alone.agreed_normals(points, faces)
     assert (normals - outwards).norm(dim=1).max() < 0.05
-    assert torch.allclose(cloud_alone.vertex_normals(points, faces.flip(1)), -normals)
+    assert torch.allclose(cloud_alone.agreed_normals(points, faces.flip(1)), -normals)
     torn = faces.clone()
     torn[::3] = torn[::3].flip(1)
-    assert cloud_alone.vertex_normals(points, torn) is None  # no common side
-    assert cloud_alone.vertex_normals(points[faces].reshape(-1, 3), torch.arange(faces.numel()).view(-1, 3)) is None
-    assert cloud_alone.vertex_normals(torch.zeros(3, 3), torch.tensor([[0, 1, 2], [0, 2, 1]])) is None
+    assert cloud_alone.agreed_normals(points, torn) is None  # no common side
+    assert cloud_alone.agreed_normals(points[faces].reshape(-1, 3), torch.arange(faces.numel()).view(-1, 3)) is None
+    assert cloud_alone.agreed_normals(torch.zeros(3, 3), torch.tensor([[0, 1, 2], [0, 2, 1]])) is None
     mesh = trimesh.Trimesh(points.numpy(), faces.numpy(), process=False)
     (tmp_path / "ball.ply").write_bytes(mesh.export(file_type="ply", vertex_normal=False))
     assert torch.allclose(tj.load_scene(tmp_path / "ball.ply").normals, normals, atol=1e-4)

@@ -15,7 +15,7 @@ from torchjoint.results.edits import Edit, Edits
 from torchjoint.results.exports.boxes import export_point_labels
 from torchjoint.results.folder import write_result
 from torchjoint.results.parts import Parts
-from torchjoint.results.shared_edits import PointLabels, edits_of_points, read_point_labels
+from torchjoint.results.shared_edits import ForeignLabels, edits_of_points, read_point_labels
 
 
 def parts_of(superpoint, stored):
@@ -29,7 +29,7 @@ def parts_of(superpoint, stored):
 
 
 def changes_of(parts, of_point, names=None, before=None):
-    labels = PointLabels(np.array(of_point), names or {})
+    labels = ForeignLabels(np.array(of_point), names or {})
     return edits_of_points(parts, before or Edits(parts.count), labels)
 
 

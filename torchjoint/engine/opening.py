@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 EXPECTED = "expected loky, dask or ray for this machine (loky:4: with 4 workers), dask://HOST:PORT, or ray://HOST:PORT"
 
 #: Most tasks at a time of an executor that does not tell its number of workers; it queues what is too much.
-MANY = 64
+MAX_WORKERS = 64
 
 #: Libraries read their number of threads from these when they start.
 _VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -59,7 +59,7 @@ def open_engine(engine: EngineLike = "loky", threads: int = 1) -> Iterator[Engin
         yield engine
     elif isinstance(engine, Executor):
         workers = getattr(engine, "_max_workers", None)
-        yield Engine(type(engine).__name__, engine, lambda: workers or MANY, threads, workers)
+        yield Engine(type(engine).__name__, engine, lambda: workers or MAX_WORKERS, threads, workers)
     elif not isinstance(engine, str):
         raise TypeError(f"engine: {EXPECTED}, or an executor, got {type(engine).__name__}")
     else:

@@ -76,7 +76,7 @@ FILE = "segments.json"
 
 
 @dataclass(frozen=True)
-class View:
+class SegmentView:
     """A frame that sees a segment.
 
     Attributes:
@@ -112,7 +112,7 @@ class SegmentRecord:
     box: OrientedBox
     color: tuple[float, ...] | None
     confidence: float | None
-    views: tuple[View, ...]
+    views: tuple[SegmentView, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """The record as written to segments.json: lengths in metres, rounded to a hundredth of a millimetre."""
@@ -216,14 +216,14 @@ def image_views(labels: Tensor, num_segments: int) -> list[tuple[int, int, tuple
     return found
 
 
-def _views(result: Segmentation) -> list[list[View]]:
+def _views(result: Segmentation) -> list[list[SegmentView]]:
     count = result.num_point_segments
     names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
     of_frames = parallel_map(lambda index: image_views(result.images[index], count), range(len(result.images)))
-    views: list[list[View]] = [[] for _ in range(count)]
+    views: list[list[SegmentView]] = [[] for _ in range(count)]
     for index, found in enumerate(of_frames):
         for number, pixels, box in found:
-            views[number].append(View(index, names[index], pixels, box))
+            views[number].append(SegmentView(index, names[index], pixels, box))
     return views
 
 

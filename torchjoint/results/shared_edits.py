@@ -22,14 +22,14 @@ from torchjoint.runtime.messages import printable
 from torchjoint.runtime.outputs import lock
 
 
-class PointLabels(NamedTuple):
+class ForeignLabels(NamedTuple):
     """Objects of Segments.ai, by their ids."""
 
     of_point: Table  #: [N] the object of each point; 0: none
     names: Mapping[int, str]  #: of the objects whose attribute `name` is in the file
 
 
-def read_point_labels(file: Path, num_points: int) -> PointLabels | None:
+def read_point_labels(file: Path, num_points: int) -> ForeignLabels | None:
     """Reads a label of segmentation of Segments.ai (docs.segments.ai, label types); None: the file is none."""
     if file.suffix.lower() != ".json":
         return None
@@ -46,10 +46,10 @@ def read_point_labels(file: Path, num_points: int) -> PointLabels | None:
         if "attributes" in one and "name" in one.record("attributes"):
             name = one.record("attributes").text("name").strip()
             names.append((int(one.number("id")), printable(name)))
-    return PointLabels(of_point, dict_of(names, f"{file}: object"))
+    return ForeignLabels(of_point, dict_of(names, f"{file}: object"))
 
 
-def edits_of_points(parts: Parts, before: Edits, labels: PointLabels) -> tuple[tuple[Edit, ...], int]:
+def edits_of_points(parts: Parts, before: Edits, labels: ForeignLabels) -> tuple[tuple[Edit, ...], int]:
     """The corrections that edited labels mean.
 
     A superpoint belongs to the object that most of its points have; if that is none, to the object that most points of

@@ -18,7 +18,7 @@ from torchjoint.segments.scan.recognition import ScanSigns, look_for_scan
 from torchjoint.views.evidence import Evidence
 
 #: A cloud is said to be thinned if less than this share of its points is left; few copies are not worth a word.
-MOSTLY = 0.95
+THINNED_SHARE = 0.95
 
 
 def _nothing(graph: PointGraph) -> str:
@@ -82,7 +82,7 @@ def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
         method: the method of step 6.
     """
     what = f"points: {len(given.points)}"
-    if graph.num_points < MOSTLY * len(given.points):
+    if graph.num_points < THINNED_SHARE * len(given.points):
         what += f", much denser than their noise, or copies: thinned to {graph.num_points}"
     what += method.measured(graph)
     if method.name == "learned" and graph.colors is None:

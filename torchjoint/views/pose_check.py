@@ -108,7 +108,7 @@ EDGE_SHIFTS = [
 
 
 class EdgeAlignment(NamedTuple):
-    """Agreement of depth edges and image edges, mean over the frames.
+    """PoseAgreement of depth edges and image edges, mean over the frames.
 
     Attributes:
         correlation: correlation of depth jumps and image edges at the given pose, -1 to 1.
@@ -214,7 +214,7 @@ AGREEING_SHARE = 0.75
 CHANCE_SHARE, CHANCE_CORRELATION, LEAST_CONTRAST = 0.8, 0.6, 0.03
 
 
-class Agreement(NamedTuple):
+class PoseAgreement(NamedTuple):
     """Agreement of poses and cloud for one frame, or for several: their mean, for depth the AGREEING_SHARE quantile.
 
     Attributes:
@@ -241,8 +241,8 @@ class Agreement(NamedTuple):
 class _Look(NamedTuple):
     """The result of the comparison of one frame."""
 
-    given: Agreement
-    others: dict[str, Agreement]  #: with the poses read as in CONVENTIONS
+    given: PoseAgreement
+    others: dict[str, PoseAgreement]  #: with the poses read as in CONVENTIONS
     off_center: float
     edges: Tensor | None
 
@@ -281,7 +281,7 @@ class PoseCheck:
             if len(self._looks) >= NUM_FRAMES:
                 self.warn()
 
-    def warn(self) -> Agreement | None:
+    def warn(self) -> PoseAgreement | None:
         """Warns of each problem once; returns the agreement at the given poses, None if no frame was compared.
 
         Warns:
@@ -320,11 +320,11 @@ def frames_to_check(scene: Scene) -> dict[int, Frame]:
     return {index: scene.frames[index] for index in evenly_spaced_indices(len(scene.frames), NUM_FRAMES)}
 
 
-def _agreement(cloud: Cloud, spacing: Tensor, frame: Frame, pose: Tensor, config: VisibilityConfig) -> Agreement:
+def _agreement(cloud: Cloud, spacing: Tensor, frame: Frame, pose: Tensor, config: VisibilityConfig) -> PoseAgreement:
     in_view = project(cloud.points, frame.intrinsics, pose, frame.size).point.shape[0] / len(cloud.points)
     visible = visible_points(cloud.points, spacing, frame.intrinsics, pose, frame.size, config)
     if not visible.z.numel():
-        return Agreement(in_view)
+        return PoseAgreement(in_view)
     depth_residual = torch.nan
     if frame.depth is not None:
         depth = frame.depth[visible.row, visible.column]
@@ -332,16 +332,16 @@ def _agreement(cloud: Cloud, spacing: Tensor, frame: Frame, pose: Tensor, config
         if known.any():
             depth_residual = ((visible.z - depth).abs() / depth)[known].median().item()
     if cloud.colors is None:
-        return Agreement(in_view, depth_residual)
-    return Agreement(
+        return PoseAgreement(in_view, depth_residual)
+    return PoseAgreement(
         in_view, depth_residual, *color_agreement(cloud.colors[visible.point], frame.image, visible.row, visible.column)
     )
 
 
-def _combined(rows: list[Agreement]) -> Agreement:
+def _combined(rows: list[PoseAgreement]) -> PoseAgreement:
     numbers = torch.tensor(rows, dtype=torch.float64)
     depth = torch.tensor([row.depth_residual for row in rows], dtype=torch.float64).nanquantile(AGREEING_SHARE)
-    return Agreement(*numbers.nanmean(dim=0).tolist())._replace(depth_residual=float(depth))
+    return PoseAgreement(*numbers.nanmean(dim=0).tolist())._replace(depth_residual=float(depth))
 
 
 def _off_center(frame: Frame) -> float:
@@ -361,7 +361,7 @@ def _edge_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
     }
 
 
-def _fits_better(given: Agreement, other: Agreement, kind: str) -> bool:
+def _fits_better(given: PoseAgreement, other: PoseAgreement, kind: str) -> bool:
     # Comparisons with NaN are False, so a missing residual has no effect.
     depth_says = other.depth_residual < 0.05 and not given.depth_residual < 0.05
     color_says = other.color_residual < 0.7 * given.color_residual and not given.depth_residual < 0.05
@@ -371,7 +371,7 @@ def _fits_better(given: Agreement, other: Agreement, kind: str) -> bool:
     return depth_says or color_says or view_says
 
 
-def _residuals(agreement: Agreement) -> tuple[float, float]:
+def _residuals(agreement: PoseAgreement) -> tuple[float, float]:
     """Of depth and colour; what is not known comes last."""
     depth, color = (
         math.inf if math.isnan(value) else value for value in (agreement.depth_residual, agreement.color_residual)
@@ -379,7 +379,7 @@ def _residuals(agreement: Agreement) -> tuple[float, float]:
     return depth, color
 
 
-def _complaints(given: Agreement, others: dict[str, Agreement], off_center: float) -> dict[str, str]:
+def _complaints(given: PoseAgreement, others: dict[str, PoseAgreement], off_center: float) -> dict[str, str]:
     """The problems that were found: kind -> message."""
     complaints = {}
     better = [kind for kind, other in others.items() if _fits_better(given, other, kind)]

@@ -26,7 +26,7 @@ from torchjoint.datasets.formats.scannet import (
     CLOUD,
     DEPTH_SIZE,
     Calibration,
-    Cameras,
+    SceneCameras,
     find_cameras,
     has_frames,
     read_frames,
@@ -43,7 +43,7 @@ _NOMINAL = Calibration(
 )
 
 #: The calibration that 3D-SIS uses for every scan: the calibration of the most common sensor.
-NOMINAL = Cameras(_NOMINAL, _NOMINAL)
+NOMINAL = SceneCameras(_NOMINAL, _NOMINAL)
 
 WHAT = "images_square/SCAN with color/, pose/ and world2grid.txt, or scans/SCAN beside it (3D-SIS)"
 

@@ -51,7 +51,7 @@ def read_mesh_file(path: Path) -> CloudFile:
     """
     with needed_for(f"{path.suffix} files", "trimesh", "torchjoint[mesh]"):
         import trimesh
-    data, suffix, parts = read_file(path, "a mesh"), path.suffix.lower(), Parts(path)
+    data, suffix, parts = read_file(path, "a mesh"), path.suffix.lower(), MeshParts(path)
     if suffix in (".obj", ".off"):
         data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if suffix == ".obj":
@@ -194,7 +194,7 @@ def _colors_of_off(data: bytes, count: int, name: str) -> Tensor | None:
     return unit_colors(values) if values.shape[1] == 3 else None
 
 
-class Parts:
+class MeshParts:
     """The other files that a mesh names: trimesh's resolver. Files outside of the mesh's folder are not there.
 
     Args:
@@ -280,7 +280,7 @@ def check_obj(data: bytes, name: str) -> None:
     bounds.check(steps, bounds.MATERIAL_STEPS, "vertices times materials", name)
 
 
-def check_gltf(data: bytes, parts: Parts, name: str) -> None:
+def check_gltf(data: bytes, parts: MeshParts, name: str) -> None:
     """Checks the images of a .gltf or .glb, and that its numbers lie in its buffers."""
     chunks = _chunks(data) if data[:4] == b"glTF" else [(_JSON, data)]
     tree = parse_json(next(chunk for kind, chunk in chunks if kind == _JSON), name)
@@ -352,7 +352,7 @@ def _accessors(primitive: dict[str, Any]) -> list[int]:
     return [*primitive.get("attributes", {}).values(), *([primitive["indices"]] if "indices" in primitive else [])]
 
 
-def _content(one: dict[str, Any], parts: Parts) -> bytes:
+def _content(one: dict[str, Any], parts: MeshParts) -> bytes:
     """The bytes of a buffer or an image: of a file, or of the text itself."""
     uri = one["uri"]
     place = uri.find("base64,")

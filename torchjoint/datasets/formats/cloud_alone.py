@@ -41,7 +41,7 @@ def load(path: Path, options: Options) -> Scene:
         return Scene(points, colors=colors, name=path.stem)
     normals = cloud.normals
     if normals is None and cloud.faces is not None:
-        normals = vertex_normals(points, cloud.faces)
+        normals = agreed_normals(points, cloud.faces)
     return Scene(points, colors=cloud.colors, normals=normals, name=path.stem)
 
 
@@ -54,7 +54,7 @@ def has_large_triangles(points: Tensor, faces: Tensor) -> bool:
     return bool(area[edges > LARGE * diagonal].sum() > LARGE_SHARE * area.sum())
 
 
-def vertex_normals(points: Tensor, faces: Tensor) -> Tensor | None:
+def agreed_normals(points: Tensor, faces: Tensor) -> Tensor | None:
     """The mean normals of the triangles around each vertex, weighted by area; a vertex of none has the nearest one's.
 
     Args:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from torchjoint.datasets.formats.scannet import CLOUD, Cameras, frames_of, read_calibration
+from torchjoint.datasets.formats.scannet import CLOUD, SceneCameras, frames_of, read_calibration
 from torchjoint.datasets.recording import Options, scene_of_frames, sorted_images
 from torchjoint.datasets.truth import vertex_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder
@@ -38,7 +38,7 @@ def _read_frames(path: Path) -> LazySequence[Frame]:
     images = _images(path)
     color = read_calibration(path / "intrinsic.txt")
     of_depth = path / "depth_intrinsic.txt"
-    cameras = Cameras(color, read_calibration(of_depth) if has_file(of_depth) else color)
+    cameras = SceneCameras(color, read_calibration(of_depth) if has_file(of_depth) else color)
     return frames_of(path, images, cameras, (path, path))
 
 

@@ -99,7 +99,7 @@ def _unpack(files: Members, file: str, values: Record, dtype: str) -> Tensor:
     if not (width > 0 and height > 0 and width * height <= MAX_DEPTH):
         raise ValueError(f"{values.name}: dw, dh: expected the size of depth images, got {width} x {height}")
     size = np.dtype(dtype).itemsize * height * width
-    raw = decompress(files.read(file, 2 * size + 64), size, f"{files.path}: {file}")
+    raw = decompress_lzfse(files.read(file, 2 * size + 64), size, f"{files.path}: {file}")
     return torch.from_numpy(np.frombuffer(raw, dtype).reshape(height, width).copy())
 
 
@@ -119,7 +119,7 @@ def _read_cameras(values: Record, count: int) -> list[Camera]:
     return [Camera(pinhole_matrix(*row), size, name=values.name) for row in rows.expand(count, 4).tolist()]
 
 
-def decompress(data: bytes, size: int, name: str = "data") -> bytes:
+def decompress_lzfse(data: bytes, size: int, name: str = "data") -> bytes:
     """Decompresses data to `size` bytes; `name` is for messages.
 
     Data that have too many blocks for this size are not unpacked: a few bytes can become gigabytes.

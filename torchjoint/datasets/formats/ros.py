@@ -56,7 +56,7 @@ ROLES = ("color", "info", "depth", "points", "odometry")
 STILL = "none"
 
 #: Points that are collected before they are thinned.
-FEW = 1_000_000
+COLLECTED = 1_000_000
 
 
 class _Topics(NamedTuple):
@@ -218,7 +218,7 @@ def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tupl
         without, given = without + no_return, given + no_return + len(scan.points)
         points = torch.cat([points, scan.points @ pose[:3, :3].T + pose[:3, 3]])
         colors = torch.cat([colors, torch.zeros(len(scan.points), 3) if scan.colors is None else scan.colors])
-        if len(points) > 2 * thinned + FEW:
+        if len(points) > 2 * thinned + COLLECTED:
             kept = voxel_subsample(points, voxel_size)
             points, colors, thinned = points[kept], colors[kept], len(kept)
     if not len(points):

@@ -93,7 +93,7 @@ def scenes(path: Path) -> dict[str, Path]:
 def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
     if has_file(folder / f"{scan}.sens"):
         stream = SensFile(folder / f"{scan}.sens")
-        cameras = Cameras(
+        cameras = SceneCameras(
             Calibration(stream.color_intrinsics, (stream.color_size,)),
             Calibration(stream.depth_intrinsics, (stream.depth_size,)),
         )
@@ -113,7 +113,7 @@ def has_frames(folder: Path) -> bool:
     return has_folder(folder / "color") and has_folder(folder / "pose")
 
 
-def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
+def read_frames(folder: Path, cameras: SceneCameras) -> LazySequence[Frame]:
     """Returns the frames with valid poses, sorted by number; each frame is read on access.
 
     Poses are camera-to-world, OpenCV axes, metres. Where tracking was lost, poses hold -inf; these frames are left out.
@@ -128,7 +128,9 @@ def read_frames(folder: Path, cameras: Cameras) -> LazySequence[Frame]:
     return frames_of(folder, images, cameras, (folder / "pose", folder / "depth"))
 
 
-def frames_of(folder: Path, images: Sequence[Path], cameras: Cameras, beside: tuple[Path, Path]) -> LazySequence[Frame]:
+def frames_of(
+    folder: Path, images: Sequence[Path], cameras: SceneCameras, beside: tuple[Path, Path]
+) -> LazySequence[Frame]:
     """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
     names = [file.stem for file in images]
     files = [beside[0] / f"{name}.txt" for name in names]
@@ -144,7 +146,7 @@ def _frames(
     source: Path,
     names: Sequence[str],
     poses: Sequence[tuple[str, Tensor]],
-    cameras: Cameras,
+    cameras: SceneCameras,
     read: Callable[[int], tuple[Tensor, Tensor | None]],
 ) -> LazySequence[Frame]:
     """The frames with finite poses; each pose has its name for messages; `read` gives colours and depth of a frame."""
@@ -159,7 +161,7 @@ def _frames(
     return LazySequence(len(kept), frame, [names[i] for i in kept])
 
 
-def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: Cameras, world_to_camera: Tensor) -> Frame:
+def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: SceneCameras, world_to_camera: Tensor) -> Frame:
     """Makes a frame from a colour image [3, H, W] and a depth image [h, w], metres, of two cameras at one place."""
     size = (image.shape[1], image.shape[2])
     intrinsics = cameras.color.scaled_to(size)
@@ -194,14 +196,14 @@ class Calibration:
         return abs((x + 0.5) / size[1] - 0.5) + abs((y + 0.5) / size[0] - 0.5)
 
 
-class Cameras(NamedTuple):
+class SceneCameras(NamedTuple):
     """Calibrations of the colour and the depth images."""
 
     color: Calibration
     depth: Calibration
 
 
-def find_cameras(folder: Path, info: Path) -> Cameras | None:
+def find_cameras(folder: Path, info: Path) -> SceneCameras | None:
     """Finds the cameras of a folder of exported frames; None if no file has a calibration.
 
     Args:
@@ -215,7 +217,7 @@ def find_cameras(folder: Path, info: Path) -> Cameras | None:
     if has_file(color):
         depth = color.with_name("intrinsic_depth.txt")
         of_color = read_calibration(color)
-        return Cameras(of_color, read_calibration(depth) if has_file(depth) else of_color)
+        return SceneCameras(of_color, read_calibration(depth) if has_file(depth) else of_color)
     return _read_info(info) if has_file(info) else None
 
 
@@ -226,7 +228,7 @@ def read_calibration(file: Path) -> Calibration:
     return Calibration(matrix, (COLOR_SIZE, DEPTH_SIZE), is_certain=False)
 
 
-def _read_info(path: Path) -> Cameras | None:
+def _read_info(path: Path) -> SceneCameras | None:
     """Reads lines such as "fx_color = 1170.187988"; None if the file has no calibration.
 
     Depth images are warped to the colour camera's view, so the scaled colour calibration holds for depth, too.
@@ -250,7 +252,7 @@ def _read_info(path: Path) -> Cameras | None:
         raise ValueError(f"{path}: expected an image size in pixels, got colorWidth {width:g}, colorHeight {height:g}")
     matrix = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
     both = Calibration(as_intrinsics(matrix, f"{path}, colour"), ((int(height), int(width)),))
-    return Cameras(both, both)
+    return SceneCameras(both, both)
 
 
 class _Blobs(NamedTuple):

@@ -42,7 +42,7 @@ Step = tuple[int, float]
 Link = Callable[[Tensor, Tensor, Tensor, Tensor, float], tuple[Tensor, Tensor]]
 
 
-class Model(Protocol):
+class MergingModel(Protocol):
     """What :class:`BoundaryModel` knows."""
 
     @property
@@ -92,7 +92,7 @@ class Regions:
         return Regions(self.graph.grouped(group), group[self.of_superpoint]) if pairs.shape[1] else self
 
 
-def build_hierarchy(superpoints: SuperpointGraph, model: Model) -> Hierarchy:
+def build_hierarchy(superpoints: SuperpointGraph, model: MergingModel) -> Hierarchy:
     """Merges superpoints in the model's steps, and then further, until all regions that touch have merged.
 
     The default level of the hierarchy is the state after the model's last step. A cut at the threshold of a step gives
