@@ -37,9 +37,14 @@ _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 
 def check_dimension(path: Path, name: str) -> None:
     """Checks that a file does not have a dimension yet."""
+    if has_dimension(path, name):
+        raise ValueError(f"{path}: expected no dimension {name}, got one; remove it first")
+
+
+def has_dimension(path: Path, name: str) -> bool:
+    """Whether a file has a dimension."""
     with open_las(path) as reader:
-        if name in {*reader.header.point_format.dimension_names, *"xyz"}:
-            raise ValueError(f"{path}: expected no dimension {name}, got one; remove it first")
+        return name in {*reader.header.point_format.dimension_names, *"xyz"}
 
 
 def write_labelled(
