@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.figures import overlay
 from torchjoint.results.folder import write_result
@@ -255,6 +256,14 @@ class TestExports:
             np.testing.assert_array_equal(arrays["point_confidence"], result.at(0.2).point_confidence)
             for name, labels in zip(result.names, result.at(0.2).images, strict=True):
                 np.testing.assert_array_equal(arrays[f"image:{name}"], labels)
+
+    def test_another_level_tells_that_it_has_no_corrections(self, export, out, result):
+        write_edits(out, Edits(result.hierarchy.num_superpoints, None, (Edit("name", (0,), "cup"),)))
+        try:
+            with pytest.warns(UserWarning, match=r"edits\.json: --granularity gives a level without these corrections"):
+                export("npz", "--granularity", 0.2)
+        finally:
+            (out / "edits.json").unlink()
 
     def test_ply_is_replaced_but_nothing_else(self, export, result):
         folder = export("ply")
