@@ -56,6 +56,17 @@ def test_they_are_told(name, tmp_path):
     assert f"1 of {len(scene.frames) + 1} images" in message
 
 
+def test_a_lost_image_of_replica_moves_no_pose(tmp_path):
+    path = samples.write("replica", tmp_path / "sample")
+    second = sorted((path / "results").glob("frame*.jpg"))[1]
+    for number in (7, 8):
+        shutil.copy(second, second.with_name(f"frame{number:06d}.jpg"))
+    lines = (path / "traj.txt").read_text().splitlines()
+    (path / "traj.txt").write_text("\n".join([*lines, lines[-1]]) + "\n")
+    with pytest.raises(ValueError, match=r"traj\.txt: frame 2 has no image, and 1 images have no pose"):
+        tj.load_scene(path)
+
+
 def test_tum_of_equal_times_and_unlisted_images(tmp_path):
     path = samples.write("tum", tmp_path / "sample")
     lines = (path / "rgb.txt").read_text().splitlines()
