@@ -66,6 +66,13 @@ def test_poses_without_images_of_scannet(tmp_path):
         tj.load_scene(path)
 
 
+def test_things_of_s3dis_whose_files_have_other_names(tmp_path):
+    path = samples.write("s3dis", tmp_path / "sample")
+    (path / "Annotations" / "chair_1.txt").rename(path / "Annotations" / "arm-chair_1.txt")
+    with pytest.warns(UserWarning, match=r": 1 files in Annotations are no CLASS_N\.txt; not read: arm-chair_1\.txt"):
+        tj.load_scene(path)
+
+
 def test_a_lost_image_of_replica_moves_no_pose(tmp_path):
     path = samples.write("replica", tmp_path / "sample")
     second = sorted((path / "results").glob("frame*.jpg"))[1]
