@@ -277,6 +277,26 @@ class TestExports:
         assert (folder / "thesis.tex").read_text() == "precious"
 
 
+@pytest.mark.parametrize(
+    ("kind", "mine"),
+    [
+        ("ply", "scan.ply"),
+        ("scannet", "notes.txt"),
+        ("scannet", "predicted_masks/thesis.txt"),
+        ("sam", "mine.json"),
+    ],
+)
+def test_files_of_the_same_kind_are_not_replaced(run, out, tmp_path, kind, mine):
+    if kind == "sam":
+        pytest.importorskip("pycocotools")
+    for more in ([], ["--overwrite"]):
+        run("export", out, "--format", kind, "-o", tmp_path / "a", *more)
+    (tmp_path / "a" / mine).write_text("precious")
+    with pytest.raises(SystemExit, match=r"holds more than \.\w+ files of an export"):
+        run("export", out, "--format", kind, "-o", tmp_path / "a", "--overwrite")
+    assert (tmp_path / "a" / mine).read_text() == "precious"
+
+
 def test_names_at_other_levels():
     """A part of a cup is a cup; a cup and a box together have no name."""
     superpoint, merges = torch.tensor([0, 0, 1, 2]), torch.tensor([[0, 1], [0, 2]])

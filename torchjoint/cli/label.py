@@ -38,7 +38,7 @@ def label(
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without corrections by hand; not with
             method paper.
         name: of the property of the labels in a .ply, or of the dimension in a .las.
-        overwrite: replace OUT; a folder must hold nothing but .ply files.
+        overwrite: replace OUT; a folder must hold nothing but the .ply files of an earlier run.
     """
     loaded = at_level(result, load_result(result), granularity)
     is_file = out.suffix.lower() in (".ply", ".glb", *las.SUFFIXES)
