@@ -35,6 +35,9 @@ def without_pose(name, folder):
         (path / "traj.txt").write_text("\n".join(lines[:-1]) + "\n")
     elif name == "colmap":
         write_noise(path / "images" / "left 7.png", 7)
+    elif name == "bop":
+        image = next(path.rglob("rgb/*.png"))
+        shutil.copy(image, image.with_name("000777.png"))
     elif name == "nerfstudio":
         image = next(path.rglob("*0.png"))
         shutil.copy(image, image.with_name(image.name.replace("0.png", "777.png")))
@@ -43,7 +46,7 @@ def without_pose(name, folder):
 
 @pytest.mark.parametrize(
     "name",
-    ["tum", "arkitscenes", "replica", "colmap", "scannet", "scannet_exported", "posed_images",
+    ["tum", "arkitscenes", "bop", "replica", "colmap", "scannet", "scannet_exported", "posed_images",
      "nerfstudio"],
 )  # fmt: skip
 def test_they_are_told(name, tmp_path):
@@ -54,6 +57,31 @@ def test_they_are_told(name, tmp_path):
         scene = tj.load_scene(path, voxel_size=0.1)
     (message,) = [str(one.message) for one in told if "images have no pose" in str(one.message)]
     assert f"1 of {len(scene.frames) + 1} images" in message
+
+
+def test_poses_without_images_of_scannet(tmp_path):
+    path = samples.write("scannet_exported", tmp_path / "sample")
+    next(path.glob("color/*")).unlink()
+    with pytest.warns(UserWarning, match=r": 1 of \d images have a pose, but are missing, and are left out"):
+        tj.load_scene(path)
+
+
+def test_things_of_s3dis_whose_files_have_other_names(tmp_path):
+    path = samples.write("s3dis", tmp_path / "sample")
+    (path / "Annotations" / "chair_1.txt").rename(path / "Annotations" / "arm-chair_1.txt")
+    with pytest.warns(UserWarning, match=r": 1 files in Annotations are no CLASS_N\.txt; not read: arm-chair_1\.txt"):
+        tj.load_scene(path)
+
+
+def test_a_lost_image_of_replica_moves_no_pose(tmp_path):
+    path = samples.write("replica", tmp_path / "sample")
+    second = sorted((path / "results").glob("frame*.jpg"))[1]
+    for number in (7, 8):
+        shutil.copy(second, second.with_name(f"frame{number:06d}.jpg"))
+    lines = (path / "traj.txt").read_text().splitlines()
+    (path / "traj.txt").write_text("\n".join([*lines, lines[-1]]) + "\n")
+    with pytest.raises(ValueError, match=r"traj\.txt: frame 2 has no image, and 1 images have no pose"):
+        tj.load_scene(path)
 
 
 def test_tum_of_equal_times_and_unlisted_images(tmp_path):

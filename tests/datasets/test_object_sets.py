@@ -1,6 +1,7 @@
 """BOP, YCB-Video, posed images and clouds alone: what is read from their samples."""
 
 import json
+import shutil
 
 import pytest
 import samples
@@ -59,6 +60,14 @@ class TestYcbVideo:
         savemat(path / "000002-meta.mat", {"intrinsic_matrix": torch.eye(3).numpy()})
         with pytest.raises(ValueError, match=r"000002-meta\.mat: rotation_translation_matrix: expected .* got none"):
             tj.load_scene(path)
+
+
+def test_two_images_of_a_frame_of_ycb_video(tmp_path):
+    path = samples.write("ycb_video", tmp_path / "a")
+    (image,) = path.glob("000002-color.*")
+    shutil.copy(image, image.with_suffix(".png" if image.suffix == ".jpg" else ".jpg"))
+    with pytest.raises(ValueError, match="the colour image of frame '000002' is there twice"):
+        tj.load_scene(path)
 
 
 def test_posed_images(tmp_path):

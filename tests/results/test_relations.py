@@ -1,7 +1,7 @@
 """Which things stand on, hang on, contain and touch which."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +110,8 @@ def test_segments_json_has_the_relations(saved):
     network = pytest.importorskip("networkx") and read.to_networkx()
     assert sorted(network.edges(data="kind")) == [(1, 0, "stands on"), (2, 0, "stands on")]
     assert network.number_of_nodes() == 3
+    joined = replace(read, labels=torch.where(read.labels == 1, 0, read.labels))
+    assert sorted(replace(joined, relations=()).to_networkx().nodes) == [0, 2]
 
 
 @pytest.mark.parametrize("length", [0.1, 5.0])

@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.figures import overlay
 from torchjoint.results.folder import write_result
@@ -256,6 +257,14 @@ class TestExports:
             for name, labels in zip(result.names, result.at(0.2).images, strict=True):
                 np.testing.assert_array_equal(arrays[f"image:{name}"], labels)
 
+    def test_another_level_tells_that_it_has_no_corrections(self, export, out, result):
+        write_edits(out, Edits(result.hierarchy.num_superpoints, None, (Edit("name", (0,), "cup"),)))
+        try:
+            with pytest.warns(UserWarning, match=r"edits\.json: --granularity gives a level without these corrections"):
+                export("npz", "--granularity", 0.2)
+        finally:
+            (out / "edits.json").unlink()
+
     def test_ply_is_replaced_but_nothing_else(self, export, result):
         folder = export("ply")
         assert len(list(folder.iterdir())) == result.num_point_segments
@@ -266,6 +275,26 @@ class TestExports:
         with pytest.raises(SystemExit, match=r"holds more than \.ply files"):
             export("ply", "--overwrite")
         assert (folder / "thesis.tex").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("kind", "mine"),
+    [
+        ("ply", "scan.ply"),
+        ("scannet", "notes.txt"),
+        ("scannet", "predicted_masks/thesis.txt"),
+        ("sam", "mine.json"),
+    ],
+)
+def test_files_of_the_same_kind_are_not_replaced(run, out, tmp_path, kind, mine):
+    if kind == "sam":
+        pytest.importorskip("pycocotools")
+    for more in ([], ["--overwrite"]):
+        run("export", out, "--format", kind, "-o", tmp_path / "a", *more)
+    (tmp_path / "a" / mine).write_text("precious")
+    with pytest.raises(SystemExit, match=r"holds more than \.\w+ files of an export"):
+        run("export", out, "--format", kind, "-o", tmp_path / "a", "--overwrite")
+    assert (tmp_path / "a" / mine).read_text() == "precious"
 
 
 def test_names_at_other_levels():

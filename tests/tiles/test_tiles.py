@@ -102,6 +102,33 @@ def test_a_folder_of_files_is_one_cloud(tmp_path):
     assert torch.equal(torch.cat(parts), labels_of(tmp_path / "out.las"))
 
 
+@pytest.mark.parametrize("content", ["survey", "text"])
+def test_files_of_the_same_names_that_are_no_results_stay(cloud, tmp_path, content):
+    (tmp_path / "parts").mkdir()
+    shutil.copy(cloud, tmp_path / "parts" / "a.laz")
+    superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1")
+    superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1", overwrite=True)
+    mine = tmp_path / "out" / "a.laz"
+    shutil.copy(cloud, mine) if content == "survey" else mine.write_text("by hand")
+    before = mine.read_bytes()
+    with pytest.raises(FileExistsError, match=r"a\.laz: expected a file of an earlier result, with superpoint"):
+        superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1", overwrite=True)
+    assert mine.read_bytes() == before
+
+
+def test_files_of_several_coordinate_systems_are_told(cloud, tmp_path):
+    (tmp_path / "parts").mkdir()
+    for name, code in (("a.las", 25832), ("b.las", 25833), ("c.las", None)):
+        one = laspy.read(cloud)
+        one.header.vlrs.extract("WktCoordinateSystemVlr")
+        if code is not None:
+            text = f'PROJCS["UTM",GEOGCS["ETRS89"],AUTHORITY["EPSG","{code}"]]'
+            one.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(text))
+        one.write(tmp_path / "parts" / name)
+    with pytest.warns(UserWarning, match="parts: coordinates of EPSG:25832, EPSG:25833 are taken as those of one"):
+        superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1")
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("kind", ["file", "folder"])
 def test_what_comes_meanwhile_stays(cloud, tmp_path, monkeypatch, kind, overwrite):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterable, Sequence
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ def output_files_in(out: Path, kinds: tuple[str, ...], overwrite: bool, inputs: 
     _check_parent(out, "-o")
     made = Output(out, overwrite=overwrite, inputs=inputs)
     if out.exists() and not (out.is_dir() and all(_is_kind(file, kinds) for file in out.iterdir())):
-        raise FileExistsError(f"{out}: holds more than {', '.join(kinds)} files and will not be overwritten")
+        raise FileExistsError(f"{out}: holds more than {', '.join(kinds)} files of an export; it is kept")
     return made
 
 
@@ -112,11 +113,24 @@ def _check_parent(out: Path, option: str) -> None:
         raise ValueError(f"{option}: expected a path outside of the parts of a result, got {out}")
 
 
+#: What the names, or else the first bytes, of files in folders of exports are like, by suffix.
+_NAMES = {".ply": r"\d{6}.*", ".pt": ".*_masks", ".npy": ".*_openmask3d_features"}
+_STARTS = {".txt": b"predicted_masks/", ".json": b'{"image": {"image_id"'}
+
+
 def _is_kind(file: Path, kinds: tuple[str, ...]) -> bool:
-    """Whether an earlier run may have written a file, or the folder of ScanNet's masks."""
+    """Whether an earlier run wrote a file, or the folder of ScanNet's masks: others may have the same suffix."""
     if file.is_dir():
-        return file.name == "predicted_masks" and all(mask.suffix in kinds for mask in file.iterdir())
-    return file.suffix in kinds
+        return file.name == "predicted_masks" and all(
+            re.fullmatch(r".*_\d{3,}\.txt", mask.name) for mask in file.iterdir()
+        )
+    if file.suffix not in kinds or not file.is_file():
+        return False
+    if file.suffix in _NAMES:
+        return re.fullmatch(_NAMES[file.suffix], file.stem, re.DOTALL) is not None
+    with file.open("rb") as stream:
+        start = _STARTS[file.suffix]
+        return stream.read(len(start)) in (start, b"")
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
+from torchjoint.cli.output import at_level
 from torchjoint.datasets.files import las
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.results.exports import FORMATS, SUFFIXES
@@ -65,7 +66,8 @@ def export(
             back). coco, sam and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
             the format's suffix.
-        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); not with method paper.
+        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without corrections by hand; not with
+            method paper.
         only_masked: only what the masks of the run show: segments that lie in masks with at least half of their pixels.
             The others are -1, or left out. Corrections by hand are not in it.
         overwrite: replace OUT.
@@ -81,8 +83,7 @@ def export(
     loaded = load_result(result, edits=not only_masked)
     if only_masked:
         loaded = select_masked(result, loaded)
-    if granularity is not None:
-        loaded = loaded.at(granularity)
+    loaded = at_level(result, loaded, granularity)
     suffix = SUFFIXES.get(format, "")
     out = out or Path(f"{result.resolve().name}-{format}{suffix}")
     inputs = parts_of(result)

@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
+from torchjoint.cli.output import at_level
 from torchjoint.datasets.files import las
 from torchjoint.results.folder import load_result, parts_of
 from torchjoint.results.labelled_file import label_file, part_files
@@ -34,13 +35,12 @@ def label(
             FILE with the dimensions `label` and `confidence`, or NAME and NAME_confidence; all else stays. .glb: the
             mesh in the colours of the segments, one node for each. A folder: a .ply for each segment, with all
             properties of FILE's vertices.
-        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine); not with method paper.
+        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without corrections by hand; not with
+            method paper.
         name: of the property of the labels in a .ply, or of the dimension in a .las.
-        overwrite: replace OUT; a folder must hold nothing but .ply files.
+        overwrite: replace OUT; a folder must hold nothing but the .ply files of an earlier run.
     """
-    loaded = load_result(result)
-    if granularity is not None:
-        loaded = loaded.at(granularity)
+    loaded = at_level(result, load_result(result), granularity)
     is_file = out.suffix.lower() in (".ply", ".glb", *las.SUFFIXES)
     inputs = (file, *parts_of(result))
     made = output_file(out, overwrite, inputs) if is_file else output_files_in(out, (".ply",), overwrite, inputs)

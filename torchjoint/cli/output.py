@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import logging
 import sys
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.folder import read_record
 from torchjoint.results.mask_report import count_masks
+from torchjoint.results.result import Result
+from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.messages import on_terminal, say
 from torchjoint.scene import Segmentation
 
@@ -34,6 +38,15 @@ def printed_log() -> Iterator[None]:
     finally:
         logger.removeHandler(handler)
         logger.setLevel(level)
+
+
+def at_level(result: Path, loaded: Result, granularity: float | None) -> Result:
+    """A result at another level, with a warning if this leaves corrections out; None: as it is."""
+    if granularity is None:
+        return loaded
+    if has_file(result / EDITS):
+        warnings.warn(f"{result / EDITS}: --granularity gives a level without these corrections", stacklevel=3)
+    return loaded.at(granularity)
 
 
 def summarize(result: Segmentation, out: Path) -> None:

@@ -84,7 +84,7 @@ class Relations:
         import networkx
 
         graph = networkx.MultiDiGraph()
-        graph.add_nodes_from(range(int(self.labels.max()) + 1))
+        graph.add_nodes_from(self.labels[self.labels >= 0].unique().tolist())  # joined ids have no points
         for one in self.relations:
             pairs = [(one.first, one.second), (one.second, one.first)][: 2 if one.kind == "touches" else 1]
             graph.add_edges_from(pairs, kind=one.kind, area=one.area, share=one.share)

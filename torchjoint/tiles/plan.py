@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.datasets.files.las import LasPoints, las_points, open_las, tell_unit
+from torchjoint.datasets.files.las import LasPoints, epsg_of, las_points, open_las, tell_unit
 from torchjoint.runtime import bounds
 from torchjoint.scene.cloud import full_brightness
 
@@ -84,6 +84,9 @@ def survey(files: Sequence[Path], align: float | None = None) -> Survey:
 def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """The number of points, and the lowest and highest corner [3] of their box, according to the headers."""
     lows, highs, num_points = [], [], 0
+    if len(systems := {epsg_of(path) for path in files} - {None}) > 1:
+        codes = ", ".join(f"EPSG:{code}" for code in sorted(filter(None, systems)))
+        warnings.warn(f"{files[0].parent}: coordinates of {codes} are taken as those of one system", stacklevel=4)
     for path in files:
         with open_las(path) as reader:
             tell_unit(reader, path)

@@ -24,7 +24,7 @@ from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.las import COPC, SUFFIXES, check_no_copc
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import EngineLike, open_engine
-from torchjoint.results.labelled_file import check_dimension, write_labelled
+from torchjoint.results.labelled_file import check_dimension, has_dimension, write_labelled
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import has_file
@@ -175,6 +175,17 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
         raise ValueError(f"{cloud}: a .laz and a .copc.laz would both become {twice[0]}; rename one of them")
     if out.is_dir() and (others := {path.name for path in out.iterdir()} - set(names)):
         raise FileExistsError(f"{out}: expected only files of an earlier result, got {min(others)}; it is kept")
+    for file in sorted(out.iterdir()) if out.is_dir() else ():
+        if not _is_result(file):
+            raise FileExistsError(f"{file}: expected a file of an earlier result, with {DIMENSION}; it is kept")
+
+
+def _is_result(file: Path) -> bool:
+    """Whether a file has superpoints; those of another survey may have the same names."""
+    try:
+        return has_dimension(file, DIMENSION)
+    except (OSError, ValueError):
+        return False
 
 
 def _result_name(file: Path) -> str:

@@ -92,6 +92,12 @@ class TestFields:
         assert points.tolist() == np.stack(list(XYZ.values()), axis=1).tolist()
         assert normals is None
 
+    def test_packed_colours_may_be_numbers_of_floats(self, tmp_path):
+        """As in the file that explains the format: 4.2108e+06."""
+        packed = np.array([0x404040, 0x00FF80, 0], dtype=np.float32)
+        colors = read_cloud_file(write_pcd(tmp_path / "c.pcd", XYZ | {"rgb": packed}, data="ascii")).colors
+        torch.testing.assert_close(colors, torch.tensor([[64, 64, 64], [0, 255, 128], [0, 0, 0]]) / 255)
+
     def test_normals(self, tmp_path):
         fields = XYZ | {f"normal_{axis}": np.full(3, axis == "y", dtype=np.float32) for axis in "xyz"}
         cloud = read_cloud_file(write_pcd(tmp_path / "c.pcd", fields))

@@ -341,6 +341,11 @@ class TestClouds:
             "1 1 0 0 0 0 0 0 3 0.png\n2 1 0 0 0 0 0 0 3 1.png\n",
             r"images\.txt: line 2: expected 2D points X Y POINT3D_ID of the image above, or an empty line, got '2 1 0",
         ),
+        (
+            "images",
+            "1 1 0 0 0 0 0 0 3 a b c.png\n2 1 0 0 0 0 0 0 3 d e f.png\n",
+            r"images\.txt: line 2: expected finite numbers, got 'd e f.png'",
+        ),
         ("points3D", "1 0 0 0 1 2 3\n", r"points3D\.txt: line 1: expected POINT3D_ID X Y Z R G B ERROR TRACK, got"),
         ("points3D", "1 0 0 0 1 2 300 1\n", r"points3D\.txt: expected colours of 0 to 255, got 1 to 300"),
         ("points3D", "1 0 0 inf 1 2 3 1\n", r"points3D\.txt: line 1: expected finite numbers"),

@@ -111,6 +111,15 @@ def test_bad_samples(folder, edit, message):
         tj.load_scene(folder)
 
 
+def test_an_image_is_that_of_one_camera(folder):
+    def same(sample):
+        sample["cameras"]["CAM_BACK"]["img_path"] = sample["cameras"]["CAM_FRONT"]["img_path"]
+
+    change(folder, same)
+    with pytest.raises(ValueError, match=r"sample\.json: cameras: image .* is there twice"):
+        tj.load_scene(folder)
+
+
 @pytest.mark.parametrize("file", ["scan.pcd.bin", "CAM_BACK.png"])
 def test_missing_files(folder, file):
     (folder / file).unlink()

@@ -43,6 +43,21 @@ def test_frames_have_the_names_of_the_images(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("files", "names"),
+    [
+        (("a (1).jpg", "a.jpg", ".DS_Store"), ["a (1)", "a"]),  # as the demo sorts them
+        (("a.jpg", "a.png", "b.jpg"), ["frame-000000", "frame-000001"]),
+    ],
+)
+def test_names_are_those_of_the_same_images(tmp_path, files, names):
+    path = samples.write("vggt", tmp_path / "a")
+    (path / "images").mkdir()
+    for file in files:
+        (path / "images" / file).touch()
+    assert [frame.name for frame in tj.load_scene(path).frames] == names
+
+
+@pytest.mark.parametrize(
     ("arrays", "message"),
     [
         ({"depth": None}, r"expected an array 'depth', \[S H W 1\], got none"),

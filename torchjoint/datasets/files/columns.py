@@ -186,7 +186,7 @@ def _unpacked(packed: Array) -> Array | None:
     """Colours [N, 3] of a column whose numbers hold red, green and blue, NaN where it is NaN; None if they do not."""
     if packed.ndim == 2:
         return packed[:, :3] if packed.shape[1] in (3, 4) else None
-    if packed.dtype.itemsize == 8:
+    if packed.dtype.itemsize == 8 or packed.dtype.kind == "f":  # their bits, or their value
         known = packed[~np.isnan(packed)]
         whole = packed.dtype.kind != "f" or (known.max(initial=0) >= 1 and bool((known == np.floor(known)).all()))
         packed = np.where(np.isnan(packed), UNKNOWN, packed) if whole else packed.astype(np.float32)

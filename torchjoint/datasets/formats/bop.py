@@ -22,7 +22,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera, checked_pose, invert_pose
 from torchjoint.datasets.files.readers import read_image_size, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
-from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene
@@ -46,7 +46,9 @@ def _read_shots(path: Path) -> list[Shot]:
     numbers = sorted(int(key) for key in cameras.values if key.isascii() and key.isdigit() and len(key) < 10)
     if not numbers:
         raise ValueError(f"{cameras.name}: expected an entry for each image, got none")
-    return [_read_shot(path, number, cameras.record(str(number)), len(numbers) == 1) for number in numbers]
+    shots = [_read_shot(path, number, cameras.record(str(number)), len(numbers) == 1) for number in numbers]
+    tell_unlisted(str(path), [shot.color for shot in shots if isinstance(shot.color, Path)])
+    return shots
 
 
 def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> Shot:

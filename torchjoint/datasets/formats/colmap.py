@@ -220,6 +220,7 @@ def _images_of_text(path: Path) -> list[_Row]:
         if len(points.split()) % 3:
             told = "expected 2D points X Y POINT3D_ID of the image above, or an empty line"
             raise ValueError(f"{of_points}: {told}, got {points[:80]!r}")
+        parse_numbers(points.split()[-3:], of_points)  # not an image whose name has spaces
     return rows
 
 

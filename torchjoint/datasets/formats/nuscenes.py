@@ -27,7 +27,7 @@ from torchjoint.datasets.files.clouds import read_scan
 from torchjoint.datasets.files.text import Record, path_inside, read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots
 from torchjoint.datasets.truth import instances_in_boxes
-from torchjoint.runtime.foreign_files import has_file, has_folder, present
+from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, present
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_pose
 
@@ -46,7 +46,9 @@ def load(path: Path, options: Options) -> Scene:
         raise ValueError(f"{lidar.name}: num_pts_feats: expected 3 to 64, got {columns:g}")
     points = read_scan(path_inside(path, lidar.text("lidar_path"), lidar.name), int(columns), options.invalid)[:, :3]
     cameras = sample.record("cameras")
-    frames = read_shots([_shot(path, cameras.record(name), name) for name in cameras.values])
+    shots = [_shot(path, cameras.record(name), name) for name in cameras.values]
+    no_twice((shot.color for shot in shots), f"{cameras.name}: image")
+    frames = read_shots(shots)
     truth = Truth(_instances(sample.records("instances"), points)) if "instances" in sample else None
     return Scene(points, frames, name=path.name, truth=truth)
 

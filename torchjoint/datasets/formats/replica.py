@@ -9,6 +9,7 @@ traj.txt                     a line for each frame (or the first ones): 16 numbe
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import torch
@@ -39,6 +40,11 @@ def load(path: Path, options: Options) -> Scene:
     images = sorted_images(path / "results", (path / "results").glob("frame*.jpg"))
     if not 0 < len(poses) <= len(images):
         raise ValueError(f"{path / 'traj.txt'}: expected {len(images)} poses, one for each image, got {len(poses)}")
+    if len(poses) < len(images):  # the first ones: those of the first numbers
+        numbers = [int(re.sub(r"\D", "", image.stem) or 0) for image in images]
+        if lost := {*range(numbers[0], numbers[0] + len(poses))}.difference(numbers):
+            told = f"frame {min(lost)} has no image, and {len(images) - len(poses)} images have no pose"
+            raise ValueError(f"{path / 'traj.txt'}: {told}: expected a pose for each image")
     tell_left_out(str(path), len(images) - len(poses), len(images))
     shots = [
         Shot(image, camera, pose, image.stem, image.with_name(f"{image.stem.replace('frame', 'depth')}.png"), 1 / scale)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,10 @@ def recognizes(path: Path) -> bool:
 
 
 def load(path: Path, options: Options) -> Scene:
-    parts = [_read_points(file) for file in _things(path)]
+    things = _things(path)
+    if left := sorted(file.name for file in (path / "Annotations").glob("*.txt") if file not in things):
+        warnings.warn(f"{path}: {len(left)} files in Annotations are no CLASS_N.txt; not read: {left[0]}", stacklevel=3)
+    parts = [_read_points(file) for file in things]
     rows = torch.from_numpy(np.concatenate(parts))
     instances = torch.cat([torch.full((len(part),), index) for index, part in enumerate(parts)])
     return Scene(rows[:, :3], colors=(rows[:, 3:] / 255).float(), name=path.name, truth=Truth(instances))

@@ -133,6 +133,8 @@ def frames_of(
 ) -> LazySequence[Frame]:
     """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
     names = [file.stem for file in images]
+    lost = {file.stem for file in beside[0].glob("*.txt") if file.stem.isdigit()}.difference(names)
+    tell_left_out(str(folder), len(lost), len(lost) + len(names), "have a pose, but are missing,")
     files = [beside[0] / f"{name}.txt" for name in names]
 
     def read(index: int) -> tuple[Tensor, Tensor | None]:

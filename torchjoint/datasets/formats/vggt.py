@@ -89,6 +89,7 @@ def _read(file: Path) -> dict[str, NDArray[np.floating]]:
 
 
 def _names(folder: Path, count: int) -> list[str]:
-    """The names of the images, if they are there and as many as expected; else numbers."""
-    found = sorted(one.stem for one in folder.iterdir() if one.is_file()) if has_folder(folder) else []
-    return found if len(set(found)) == count else [f"frame-{index:06d}" for index in range(count)]
+    """The names of the images, in the order of the demo, if they are there and as many as expected; else numbers."""
+    files = sorted(one.name for one in folder.iterdir() if has_file(one)) if has_folder(folder) else []
+    found = [Path(name).stem for name in files if not name.startswith(".")]
+    return found if len(found) == len(set(found)) == count else [f"frame-{index:06d}" for index in range(count)]
