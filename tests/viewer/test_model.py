@@ -217,6 +217,24 @@ def test_a_join_takes_the_name_along_and_a_level_is_kept(tmp_path):
     assert edited(model.result, replace(model.edits, granularity=fine)).segment_names == {0: "table"}
 
 
+def test_a_later_correction_leaves_the_ids_of_earlier_ones(model, result):
+    large = largest(model)
+    model.select((max(large),))
+    model.split()
+    of_first = keys_of_points_on_disk(model)
+    model.select((min(large),))
+    model.split()
+    of_both = keys_of_points_on_disk(model)
+    new = result.num_point_segments
+    np.testing.assert_array_equal(of_first == new, of_both == new)
+    assert (of_both == new + 1).any()
+    np.testing.assert_array_equal(of_both, model.measures.ids[model.parts.of_point])
+
+
+def keys_of_points_on_disk(model):
+    return edited(model.result, model.edits).points.numpy()
+
+
 @pytest.fixture
 def picked():
     """A model of six superpoints, one point each: ((0 1) .2, (2 3) .4) .6, (4 5) .3, and all at .9."""

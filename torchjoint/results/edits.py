@@ -9,7 +9,7 @@ It also holds the checksum of the result's manifest: another result of as many s
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -168,18 +168,24 @@ class Edits:
         Returns:
             [P] the segment of each superpoint; the number of a segment is that of its first superpoint.
         """
-        table = first_superpoints(table)
+        *_, last = self.tables(table, hierarchy)
+        return last
+
+    def tables(self, table: Table, hierarchy: Hierarchy | None) -> Iterator[Table]:
+        """The table [P] before the corrections and after each of them; arguments as those of :meth:`apply`."""
+        yield (table := first_superpoints(table))
         for step in self.steps:
             if step.kind == "join":
                 ends = [table[superpoint] for superpoint in step.superpoints]
-                table[np.isin(table, ends)] = min(ends)
+                table = np.where(np.isin(table, ends), min(ends), table)
             elif step.kind == "split":
                 table = split(table, step.superpoints, hierarchy)
             elif step.kind == "gather":
                 inside = np.flatnonzero(np.isin(table, table[list(step.superpoints)]))  # others stay as they are
+                table = table.copy()
                 table[list(step.superpoints)] = len(table)
                 table[inside] = inside[first_superpoints(table[inside])]
-        return table
+            yield table
 
 
 def first_superpoints(table: Table) -> Table:

@@ -95,7 +95,7 @@ def _levels(parts: Parts, edits: Edits) -> tuple[list[dict[str, Any]], int]:
     ordered = sorted(found.values(), key=lambda one: len(np.unique(one[0])))
     levels = []
     for table, of_level in ordered:
-        own = parts.ids(table)
+        own = parts.ids(of_level)
         names = {int(own[segment]): name for segment, name in parts.names(of_level).items()}
         ids = _packed(own.astype(np.uint32))
         levels.append({"ids": ids, "count": len(np.unique(table)), "names": names})

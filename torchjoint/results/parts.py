@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import groupby
+from itertools import count, groupby
 
 import numpy as np
 import torch
@@ -89,12 +89,14 @@ class Parts:
             return first_superpoints(self.stored)
         return first_superpoints(hierarchy.segments_of_superpoints(hierarchy.height_of(granularity)).numpy())
 
-    def ids(self, table: Table) -> Table:
-        """[P] the id of each superpoint's segment; new segments follow all on disk, by their first superpoints."""
-        firsts, number = np.unique(table, return_inverse=True)
-        is_new = first_superpoints(self.stored)[firsts] != firsts
-        ids = np.where(is_new, int(self.stored.max()) + np.cumsum(is_new), self.stored[firsts])
-        return ids[number]
+    def ids(self, edits: Edits) -> Table:
+        """[P] the id of each superpoint's segment; new segments follow all on disk, in the order of the edits."""
+        own, following = np.where(first_superpoints(self.stored) == np.arange(self.count), self.stored, -1), count()
+        for table in edits.tables(self.level(edits.granularity), self.result.hierarchy):
+            firsts = np.unique(table)
+            for first in firsts[own[firsts] < 0]:
+                own[first] = int(self.stored.max()) + 1 + next(following)
+        return own[table]
 
     @cached_property
     def keys(self) -> Table:
@@ -106,10 +108,11 @@ class Parts:
 def edited(result: Result, edits: Edits) -> Result:
     """Applies corrections by hand, and sets `segment_names`. Ids as those of :class:`Parts`; some may have no point."""
     parts = Parts(result)
-    ids = parts.ids(parts.table(edits))
+    ids = parts.ids(edits)
     names = {int(ids[first]): name for first, name in parts.names(edits).items()}
     segments = torch.from_numpy(ids)
     superpoints = None if result.hierarchy is None else result.superpoint_images
-    images = level_images(result.images, result.num_point_segments, segments, int(ids.max()) + 1, superpoints)
+    before = result.num_point_segments  # ids of image segments without points stay, too, unless there are new ones
+    images = level_images(result.images, before, segments, max(int(ids.max()) + 1, before), superpoints)
     points = segments[torch.from_numpy(parts.of_point)]
     return replace(result, points=points, images=images if len(result.images) else (), segment_names=names)

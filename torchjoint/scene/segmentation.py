@@ -108,9 +108,9 @@ class Segmentation:
 
     def __repr__(self) -> str:
         levels = ", all levels" if self.hierarchy is not None else ""
+        count = int((torch.bincount(self.points.clamp(min=-1) + 1)[1:] > 0).sum())  # after corrections less than ids
         return (
-            f"{type(self).__name__}({len(self.points)} points in {self.num_point_segments} segments, "
-            f"{len(self.images)} images{levels})"
+            f"{type(self).__name__}({len(self.points)} points in {count} segments, {len(self.images)} images{levels})"
         )
 
     @property

@@ -47,9 +47,9 @@ class Measures:
         self._parts, self._up, self.hues = parts, up, parts.keys
         self._frames: list[tuple[Table, Table]] | None = None  # per frame: its superpoints, and their numbers of pixels
 
-    def of_table(self, table: Table) -> None:
-        """Changes the table: [P] the segment of each superpoint."""
-        self._table, self.ids = table, self._parts.ids(table)
+    def of_table(self, table: Table, ids: Table) -> None:
+        """Changes the tables: [P] the segment of each superpoint, and its id."""
+        self._table, self.ids = table, ids
         self._rows: dict[int, Row] = {}
         self._number = np.unique(table, return_inverse=True)[1]  # of the segment of each superpoint
         self.__dict__.pop("confidence", None)  # of the table before

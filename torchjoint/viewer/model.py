@@ -86,7 +86,7 @@ class Model:
         self._picked: tuple[Edit, ...] = ()  # shown as if it were a correction
         self._before: list[tuple[Edit, ...]] = []  # the corrections before each change, for undo
         self.measures = Measures(self.parts, up)
-        self.measures.of_table(self.table)
+        self.measures.of_table(self.table, self.parts.ids(edits))
 
     def of_result(self, result: Result, edits: Edits | None = None) -> Model:
         """The same view of another result of the scene; selection and colours are kept as far as segments match.
@@ -235,7 +235,7 @@ class Model:
         self._picked, self.clicks = picked, ()
         if not np.array_equal(before, self.table):
             self.selected = tuple(dict.fromkeys(int(self.table[segment]) for segment in self.selected))
-            self.measures.of_table(self.table)
+            self.measures.of_table(self.table, self.parts.ids(shown))
 
     # Words
 
