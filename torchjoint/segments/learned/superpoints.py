@@ -185,8 +185,13 @@ def _geometry(
             "unoriented": ~both,
         }
 
-    blocks = [measured(ends) for ends in edge_index.split(EDGES, 1)]  # less memory than all edges at once
-    return {name: torch.cat([block.pop(name) for block in blocks]) for name in [*blocks[0]]}
+    values: dict[str, Tensor] = {}
+    for start, ends in enumerate(edge_index.split(EDGES, 1)):  # less memory than all edges at once
+        for name, value in measured(ends).items():
+            if name not in values:
+                values[name] = value.new_empty(edge_index.shape[1])
+            values[name][EDGES * start : EDGES * start + len(value)] = value
+    return values
 
 
 def _to_lab(colors: Tensor) -> Tensor:
