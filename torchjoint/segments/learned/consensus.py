@@ -258,7 +258,7 @@ def _segments(
 def _at_once(is_unsure: Tensor, num_boundaries: int) -> list[list[int]]:
     """The members whose graphs are one graph, which is faster but takes more memory. The unsure ones share noise."""
     numbers = list(range(len(is_unsure)))
-    if num_boundaries <= MANY_BOUNDARIES:
+    if num_boundaries * len(numbers) <= MANY_BOUNDARIES:
         return [numbers]
     unsure = [number for number in numbers if is_unsure[number]]
     return [[number] for number in numbers if number not in unsure] + ([unsure] if unsure else [])
