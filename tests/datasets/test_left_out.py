@@ -59,9 +59,19 @@ def test_they_are_told(name, tmp_path):
     assert f"1 of {len(scene.frames) + 1} images" in message
 
 
-def test_poses_without_images_of_scannet(tmp_path):
-    path = samples.write("scannet_exported", tmp_path / "sample")
-    next(path.glob("color/*")).unlink()
+@pytest.mark.parametrize(
+    ("name", "images"),
+    [
+        ("scannet_exported", "color/*"),
+        ("polycam", "keyframes/corrected_images/*"),
+        ("record3d_exr", "EXR_RGBD/rgb/0.jpg"),
+        ("arkitscenes", "*/lowres_wide/*"),
+        ("ycb_video", "*-color.png"),
+    ],
+)
+def test_poses_without_images_are_told(name, images, tmp_path):
+    path = samples.write(name, tmp_path / "sample")
+    next(path.glob(images)).unlink()
     with pytest.warns(UserWarning, match=r": 1 of \d images have a pose, but are missing, and are left out"):
         tj.load_scene(path)
 

@@ -115,6 +115,11 @@ def tell_left_out(name: str, left: int, total: int, why: str = "have no pose") -
         warnings.warn(f"{name}: {left} of {total} images {why} and are left out", stacklevel=4)
 
 
+def tell_lost(name: str, lost: int, total: int) -> None:
+    """Warns of cameras or poses whose images are missing."""
+    tell_left_out(name, lost, total, "have a pose, but are missing,")
+
+
 def tell_unlisted(name: str, files: Sequence[Path], left: int = 0, why: str = "") -> None:
     """Warns of images beside those with a pose, `files`, which a list of poses does not name: they are left out.
 

@@ -22,7 +22,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import pinhole, resize_depth, world_to_camera
 from torchjoint.datasets.files.readers import read_depth, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
-from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, sorted_images
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, sorted_images, tell_lost
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.scene import Scene
 
@@ -41,6 +41,8 @@ def load(path: Path, options: Options) -> Scene:
     files = sorted_images(images, images.glob("*.jpg"))
     if not files:
         raise ValueError(f"{images}: expected images, .jpg, got none")
+    lost = {file.stem for file in cameras.glob("*.json")} - {file.stem for file in files}
+    tell_lost(str(path), len(lost), len(lost) + len(files))
     shots = [_shot(file, read_record(cameras / f"{file.stem}.json", "a camera of Polycam"), folder) for file in files]
     return scene_of_frames(path, read_shots(shots), options)
 

@@ -28,7 +28,7 @@ from torchjoint.datasets.cameras import FLIP_YZ, Camera, invert_pose, pinhole_ma
 from torchjoint.datasets.files.binary import Members
 from torchjoint.datasets.files.readers import decode_image, rgb_of
 from torchjoint.datasets.files.text import Record, parse_record
-from torchjoint.datasets.recording import Options, scene_of_frames
+from torchjoint.datasets.recording import Options, scene_of_frames, tell_lost
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.runtime.messages import needed_for
@@ -71,6 +71,7 @@ def _read_frames(files: Members) -> LazySequence[Frame]:
     if not images or images[-1][0] >= len(poses):
         last = images[-1][1] if images else "none"
         raise ValueError(f"{values.name}: poses: expected one for each image, got {len(poses)}; last image: {last}")
+    tell_lost(str(files.path), len(poses) - len(images), len(poses))
     cameras = _read_cameras(values, len(poses))
 
     def read(index: int) -> Frame:

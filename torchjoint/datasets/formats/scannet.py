@@ -33,7 +33,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import register_depth, stretch_intrinsics, world_to_camera
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.readers import decode_image, read_depth, read_image, read_matrix, rgb_of
-from torchjoint.datasets.recording import Options, read_shots, scene_of_frames, sorted_images, tell_left_out
+from torchjoint.datasets.recording import Options, read_shots, scene_of_frames, sorted_images, tell_left_out, tell_lost
 from torchjoint.datasets.truth import image_instances, vertex_instances
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import (
@@ -134,7 +134,7 @@ def frames_of(
     """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
     names = [file.stem for file in images]
     lost = {file.stem for file in beside[0].glob("*.txt") if file.stem.isdigit()}.difference(names)
-    tell_left_out(str(folder), len(lost), len(lost) + len(names), "have a pose, but are missing,")
+    tell_lost(str(folder), len(lost), len(lost) + len(names))
     files = [beside[0] / f"{name}.txt" for name in names]
 
     def read(index: int) -> tuple[Tensor, Tensor | None]:
