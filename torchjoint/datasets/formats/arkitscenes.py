@@ -33,7 +33,7 @@ WHAT = "lowres_wide.traj with lowres_wide/, lowres_wide_intrinsics/, lowres_dept
 TRAJECTORY, IMAGES, DEPTHS, CAMERAS = "lowres_wide.traj", "lowres_wide", "lowres_depth", "lowres_wide_intrinsics"
 #: Poses are known ten times a second.
 TOLERANCE = 0.06
-#: Times of an image and of its camera may differ in the last digit, seconds.
+#: Times of an image, its camera and its depth may differ in the last digit, seconds.
 STEP = 0.001
 
 
@@ -59,7 +59,7 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     lost = len({*(folder / CAMERAS).glob("*.pincam")}.difference(cameras.values()))
     tell_lost(str(folder), lost, lost + len(images))
     shots = [
-        Shot(file, _camera(cameras[file]), invert_pose(pose), file.stem, folder / DEPTHS / file.name)
+        Shot(file, _camera(cameras[file]), invert_pose(pose), file.stem, _near(folder / DEPTHS, file.stem, ".png"))
         for (_, file), pose in zip(images, poses, strict=True)
         if pose is not None
     ]
