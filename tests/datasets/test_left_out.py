@@ -224,6 +224,24 @@ def test_the_largest_of_several_models(tmp_path):
         assert tj.load_scene(path).points.min() == 1
 
 
+@pytest.mark.parametrize(
+    ("name", "depth"),
+    [
+        ("folder", "*.depth.png"),
+        ("polycam", "keyframes/depth/10000000.png"),
+        ("record3d_exr", "EXR_RGBD/depth/0.exr"),
+        ("scannet_exported", "depth/0.png"),
+        ("ycb_video", "*-depth.png"),
+    ],
+)
+def test_lost_depth_beside_a_cloud(name, depth, tmp_path):
+    path = samples.write(name, tmp_path / "sample")
+    tj.load_scene(path)
+    next(path.glob(depth)).unlink()
+    with pytest.warns(UserWarning, match=r"^depth: 1 of \d+ frames have no depth image$"):
+        tj.load_scene(path)
+
+
 def test_frames_without_depth_among_others(scene_of, tmp_path, monkeypatch):
     frames = list(scene_of(3).scene.frames)
     frames[1] = dataclasses.replace(frames[1], depth=None)

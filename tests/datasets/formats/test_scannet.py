@@ -425,7 +425,8 @@ class TestExported:
 
     def test_depth_is_optional(self, folder):
         (folder / "depth" / "1.png").unlink()
-        frames = tj.load_scene(folder).frames
+        with pytest.warns(UserWarning, match="depth: 1 of 2 frames have no depth image"):
+            frames = tj.load_scene(folder).frames
         assert frames[0].depth is not None
         assert frames[1].depth is None
 

@@ -51,14 +51,12 @@ def _shot(file: Path, values: Record, folder: Path) -> Shot:
     pose = [[values.number(f"t_{row}{column}") for column in range(4)] for row in range(3)]
     camera = pinhole((values.number(key) for key in ("fx", "fy", "cx", "cy", "width", "height")), values.name)
     extrinsics = world_to_camera(torch.tensor(pose, dtype=torch.float64), values.name, opengl=True)
-    return Shot(file, camera, extrinsics, file.stem, partial(_read_depth, folder, file.stem))
+    depth = partial(_read_depth, folder, file.stem) if has_file(folder / "depth" / f"{file.stem}.png") else None
+    return Shot(file, camera, extrinsics, file.stem, depth)
 
 
-def _read_depth(folder: Path, stem: str) -> Tensor | None:
-    file, confidence = folder / "depth" / f"{stem}.png", folder / "confidence" / f"{stem}.png"
-    if not has_file(file):
-        return None
-    depth = read_depth(file)
+def _read_depth(folder: Path, stem: str) -> Tensor:
+    depth, confidence = read_depth(folder / "depth" / f"{stem}.png"), folder / "confidence" / f"{stem}.png"
     if not has_file(confidence):
         return depth
     sure = resize_depth(read_label_image(confidence), (depth.shape[0], depth.shape[1]), str(confidence)) > 0

@@ -33,7 +33,15 @@ from torch import Tensor
 from torchjoint.datasets.cameras import register_depth, stretch_intrinsics, world_to_camera
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.readers import decode_image, read_depth, read_image, read_matrix, rgb_of
-from torchjoint.datasets.recording import Options, read_shots, scene_of_frames, sorted_images, tell_left_out, tell_lost
+from torchjoint.datasets.recording import (
+    Frames,
+    Options,
+    read_shots,
+    scene_of_frames,
+    sorted_images,
+    tell_left_out,
+    tell_lost,
+)
 from torchjoint.datasets.truth import image_instances, vertex_instances
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import (
@@ -45,7 +53,6 @@ from torchjoint.runtime.foreign_files import (
     or_unreadable,
     read_text,
 )
-from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import as_intrinsics
 
@@ -90,7 +97,7 @@ def scenes(path: Path) -> dict[str, Path]:
     return {one.name: one for one in folders if or_unreadable(recognizes, one)}
 
 
-def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
+def _read_frames(folder: Path, scan: str) -> Frames:
     if has_file(folder / f"{scan}.sens"):
         stream = SensFile(folder / f"{scan}.sens")
         cameras = SceneCameras(
@@ -99,7 +106,7 @@ def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
         )
         poses = [(f"{stream.path}, pose of frame {i}", pose) for i, pose in enumerate(stream.poses)]
         names = [str(i) for i in range(len(stream))]
-        return _frames(stream.path, names, poses, cameras, lambda i: (stream.color(i), stream.depth(i)))
+        return _frames(stream.path, names, poses, cameras, lambda i: (stream.color(i), stream.depth(i)), lambda _: True)
     if not has_frames(folder):
         return read_shots(())
     found = find_cameras(folder, folder / f"{scan}.txt")
@@ -113,7 +120,7 @@ def has_frames(folder: Path) -> bool:
     return has_folder(folder / "color") and has_folder(folder / "pose")
 
 
-def read_frames(folder: Path, cameras: SceneCameras) -> LazySequence[Frame]:
+def read_frames(folder: Path, cameras: SceneCameras) -> Frames:
     """Returns the frames with valid poses, sorted by number; each frame is read on access.
 
     Poses are camera-to-world, OpenCV axes, metres. Where tracking was lost, poses hold -inf; these frames are left out.
@@ -128,20 +135,19 @@ def read_frames(folder: Path, cameras: SceneCameras) -> LazySequence[Frame]:
     return frames_of(folder, images, cameras, (folder / "pose", folder / "depth"))
 
 
-def frames_of(
-    folder: Path, images: Sequence[Path], cameras: SceneCameras, beside: tuple[Path, Path]
-) -> LazySequence[Frame]:
+def frames_of(folder: Path, images: Sequence[Path], cameras: SceneCameras, beside: tuple[Path, Path]) -> Frames:
     """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
     names = [file.stem for file in images]
     lost = {file.stem for file in beside[0].glob("*.txt") if file.stem.isdigit()}.difference(names)
     tell_lost(str(folder), len(lost), len(lost) + len(names))
-    files = [beside[0] / f"{name}.txt" for name in names]
+    files, depths = [beside[0] / f"{name}.txt" for name in names], [beside[1] / f"{name}.png" for name in names]
 
     def read(index: int) -> tuple[Tensor, Tensor | None]:
-        depth = beside[1] / f"{names[index]}.png"
+        depth = depths[index]
         return read_image(images[index]), read_depth(depth) if has_file(depth) else None
 
-    return _frames(folder, names, [(str(file), read_matrix(file, (4, 4))) for file in files], cameras, read)
+    poses = [(str(file), read_matrix(file, (4, 4))) for file in files]
+    return _frames(folder, names, poses, cameras, read, lambda index: has_file(depths[index]))
 
 
 def _frames(
@@ -150,7 +156,8 @@ def _frames(
     poses: Sequence[tuple[str, Tensor]],
     cameras: SceneCameras,
     read: Callable[[int], tuple[Tensor, Tensor | None]],
-) -> LazySequence[Frame]:
+    has_depth: Callable[[int], bool],
+) -> Frames:
     """The frames with finite poses; each pose has its name for messages; `read` gives colours and depth of a frame."""
     kept = [i for i, (_, pose) in enumerate(poses) if torch.isfinite(pose).all()]
     tell_left_out(str(source), len(poses) - len(kept), len(poses))
@@ -160,7 +167,7 @@ def _frames(
         i = kept[place]
         return make_frame(names[i], *read(i), cameras, extrinsics[i])
 
-    return LazySequence(len(kept), frame, [names[i] for i in kept])
+    return Frames(len(kept), frame, [names[i] for i in kept], lambda place: has_depth(kept[place]))
 
 
 def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: SceneCameras, world_to_camera: Tensor) -> Frame:
