@@ -165,7 +165,7 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
         if "nx" not in names and _are_unit(three):
             names += ["nx", "ny", "nz"]
             found.append("normals")
-        elif "r" not in names and three.size and three.min() >= 0 and three.max() <= 255:
+        elif "r" not in names and three.size and three.min() >= 0 and three.max() <= 256:
             names += ["r", "g", "b"]
             found.append("colours")
         else:
