@@ -68,6 +68,8 @@ _RAW, _ZLIB = 0, 1
 _HEADER = "64f2i4If"
 #: Pose, times of colour and depth, bytes of colour and depth.
 _FRAME, _FRAME_BYTES = "16f4Q", 96
+#: Images of 640 x 480 pixels are those of 1296 x 968, stretched by .4 %; what is stretched more is cropped.
+STRETCH = 0.02
 Size = tuple[int, int]
 
 #: (H, W) of the sensor's images in nearly all scans.
@@ -294,10 +296,15 @@ class SensFile:
         return len(self._blobs)
 
     def color(self, index: int) -> Tensor:
-        """Decodes a frame's colours, [3, H, W] uint8 RGB, at the image's own size. ValueError if damaged."""
+        """Decodes a frame's colours, [3, H, W] uint8 RGB, at the image's own size. ValueError if damaged or cropped."""
         blobs = self._blobs[index]
         name = f"{self.path}, colour of frame {index}"
-        return rgb_of(decode_image(self._read(blobs.start, blobs.color_bytes, name), name), name)
+        image = rgb_of(decode_image(self._read(blobs.start, blobs.color_bytes, name), name), name)
+        (_, height, width), (h, w) = image.shape, self.color_size
+        if abs(height * w - width * h) > max(STRETCH * width * h, w, h):
+            got = f"{width} x {height}: is it cropped?"
+            raise ValueError(f"{name}: expected the aspect ratio of the header, {w} x {h} pixels, got {got}")
+        return image
 
     def depth(self, index: int) -> Tensor:
         """Decodes a frame's depth, [h, w] float32 metres, 0 = unknown, of `depth_size`. ValueError if damaged."""
