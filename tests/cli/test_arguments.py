@@ -110,6 +110,16 @@ def test_what_comes_meanwhile_stays(run, result, cloud, tmp_path, monkeypatch, a
     assert not list(tmp_path.rglob(".partial-*"))
 
 
+@pytest.mark.parametrize("arguments", [("export", "result", "--format", "ply"), ("label", "result", "cloud.ply")])
+def test_a_link_to_a_folder_stays(run, result, cloud, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    with pytest.raises(SystemExit, match=r"link: expected no link, and a folder; choose another name"):
+        run(*arguments, "-o", "link", "--overwrite")
+    assert (tmp_path / "link").is_symlink()
+
+
 def test_boxes_name_the_cloud_beside_them(run, result, tmp_path):
     run("export", result, "--format", "labelcloud", "-o", tmp_path / "boxes.json")
     assert f'"path": "{tmp_path / "boxes.ply"}"' in (tmp_path / "boxes.json").read_text()

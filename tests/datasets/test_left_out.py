@@ -59,9 +59,19 @@ def test_they_are_told(name, tmp_path):
     assert f"1 of {len(scene.frames) + 1} images" in message
 
 
-def test_poses_without_images_of_scannet(tmp_path):
-    path = samples.write("scannet_exported", tmp_path / "sample")
-    next(path.glob("color/*")).unlink()
+@pytest.mark.parametrize(
+    ("name", "images"),
+    [
+        ("scannet_exported", "color/*"),
+        ("polycam", "keyframes/corrected_images/*"),
+        ("record3d_exr", "EXR_RGBD/rgb/0.jpg"),
+        ("arkitscenes", "*/lowres_wide/*"),
+        ("ycb_video", "*-color.png"),
+    ],
+)
+def test_poses_without_images_are_told(name, images, tmp_path):
+    path = samples.write(name, tmp_path / "sample")
+    next(path.glob(images)).unlink()
     with pytest.warns(UserWarning, match=r": 1 of \d images have a pose, but are missing, and are left out"):
         tj.load_scene(path)
 
@@ -212,6 +222,24 @@ def test_the_largest_of_several_models(tmp_path):
         assert tj.load_scene(path / "sparse" / number).points.min() == int(number)
     with pytest.warns(UserWarning, match="sparse/1 is read"):
         assert tj.load_scene(path).points.min() == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "depth"),
+    [
+        ("folder", "*.depth.png"),
+        ("polycam", "keyframes/depth/10000000.png"),
+        ("record3d_exr", "EXR_RGBD/depth/0.exr"),
+        ("scannet_exported", "depth/0.png"),
+        ("ycb_video", "*-depth.png"),
+    ],
+)
+def test_lost_depth_beside_a_cloud(name, depth, tmp_path):
+    path = samples.write(name, tmp_path / "sample")
+    tj.load_scene(path)
+    next(path.glob(depth)).unlink()
+    with pytest.warns(UserWarning, match=r"^depth: 1 of \d+ frames have no depth image$"):
+        tj.load_scene(path)
 
 
 def test_frames_without_depth_among_others(scene_of, tmp_path, monkeypatch):

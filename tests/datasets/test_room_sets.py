@@ -86,6 +86,13 @@ def test_a_camera_may_be_missing(tmp_path):
         _ = tj.load_scene(path).frames[0].intrinsics
 
 
+def test_the_time_of_depth_may_differ_in_the_last_digit(tmp_path):
+    path = samples.write("arkitscenes", tmp_path / "a")
+    depth = path / "40753679_frames" / "lowres_depth" / "40753679_6791.523.png"
+    depth.rename(depth.with_name("40753679_6791.522.png"))
+    assert tj.load_scene(path).frames[0].depth is not None
+
+
 def test_uncorrected_frames_are_read_where_none_is_corrected(tmp_path):
     path = samples.write("polycam", tmp_path / "a")
     assert [frame.name for frame in tj.load_scene(path).frames] == ["9999999", "10000000"]

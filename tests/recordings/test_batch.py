@@ -269,6 +269,12 @@ class TestOrigin:
             assert torch.equal(tj.load_result(tmp_path / "out" / name).scene.points, tj.load_scene(path).select_points(
                 voxel_subsample(tj.load_scene(path).points, 0.2)).points)  # fmt: skip
 
+    def test_a_recording_that_once_had_a_longer_name(self, kitchens, tmp_path):
+        self.batch(kitchens, tmp_path / "out")
+        for day, path in zip(("day1", "day2"), kitchens, strict=True):
+            report = self.batch(path, tmp_path / "out")
+            assert (report.skipped, report.failures) == ((f"{day}-scans-kitchen",), {})
+
     def test_changed_files(self, kitchens, tmp_path):
         self.batch(kitchens[0], tmp_path / "out")
         write_cloud(kitchens[0], torch.rand(200, 3))

@@ -62,6 +62,18 @@ def test_an_id_that_is_none(result, segment):
     assert len(result.cloud(np.int64(0)).points) == len(result.cloud(0).points)
 
 
+def test_an_id_without_points(result):
+    """Corrections by hand may leave gaps between ids."""
+    gap = result.num_point_segments
+    labels = torch.where(result.points == 0, gap + 1, result.points)
+    changed = dataclasses.replace(result, points=labels)
+    for what in (changed.crops, changed.cloud):
+        for segment in (0, gap, gap + 2, 2**70, -1):
+            with pytest.raises(ValueError, match=rf"segment: expected an id of .*, got {segment}: no point has it"):
+                what(segment)
+    assert len(changed.cloud(gap + 1).points) == len(result.cloud(0).points)
+
+
 def test_a_result_without_cameras_has_no_frames(out, tmp_path):
     for name in ("points.npz", "run.yaml"):
         (tmp_path / name).write_bytes((out / name).read_bytes())

@@ -100,6 +100,8 @@ def output_files_in(out: Path, kinds: tuple[str, ...], overwrite: bool, inputs: 
     if out.suffix.lower() in (*kinds, *SUFFIXES) and not out.is_dir():
         raise ValueError(f"-o: expected a folder, for {', '.join(kinds)} files, got the name of a file, {out.name}")
     _check_parent(out, "-o")
+    if out.is_symlink():
+        raise FileExistsError(f"{out}: expected no link, and a folder; choose another name")
     made = Output(out, overwrite=overwrite, inputs=inputs)
     if out.exists() and not (out.is_dir() and all(_is_kind(file, kinds) for file in out.iterdir())):
         raise FileExistsError(f"{out}: holds more than {', '.join(kinds)} files of an export; it is kept")

@@ -27,6 +27,22 @@ from torchjoint.scene.checks import Invalid
 CLOUD_SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".copc.laz", ".e57")
 
 
+class Frames(LazySequence[Frame]):
+    """Frames that are read on access; `has_depth(i)` tells whether frame `i` has a depth image without reading it."""
+
+    def __init__(
+        self, count: int, read: Callable[[int], Frame], names: Sequence[str], has_depth: Callable[[int], bool]
+    ) -> None:
+        super().__init__(count, read, names)
+        self._has_depth = has_depth
+
+    def tell_without_depth(self) -> None:
+        """Warns if some of the frames have depth, and others have none."""
+        without = len(self) - sum(map(self._has_depth, range(len(self))))
+        if 0 < without < len(self):
+            warnings.warn(f"depth: {without} of {len(self)} frames have no depth image", stacklevel=4)
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of :func:`torchjoint.load_scene`; a format ignores the options that it does not need."""
@@ -70,6 +86,8 @@ def scene_of_frames(
 def _scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path]) -> Scene:
     file = find_cloud(path, options, clouds)
     if file is not None:
+        if isinstance(frames, Frames):
+            frames.tell_without_depth()
         cloud = read_cloud_file(file, invalid=options.invalid, least_opacity=options.least_opacity)
         return Scene(cloud.points, frames, cloud.colors, cloud.normals, name=path.name)
     if not options.fuse:
@@ -99,10 +117,14 @@ class Shot(NamedTuple):
     depth: Path | Callable[[], Tensor | None] | None = None  #: 16-bit, none if the file is not there; or what reads it
     unit: float = 0.001  #: of a depth file, metres
 
+    def has_depth(self) -> bool:
+        """Whether there is a depth image."""
+        return has_file(self.depth) if isinstance(self.depth, Path) else self.depth is not None
+
     def read(self) -> Frame:
         """Reads the frame."""
         if isinstance(self.depth, Path):
-            depth = read_depth(self.depth, self.unit) if has_file(self.depth) else None
+            depth = read_depth(self.depth, self.unit) if self.has_depth() else None
         else:
             depth = None if self.depth is None else self.depth()
         image = read_image(self.color, self.camera.size) if isinstance(self.color, Path) else self.color()
@@ -113,6 +135,11 @@ def tell_left_out(name: str, left: int, total: int, why: str = "have no pose") -
     """Warns of images that are left out; readers of all formats tell it with these words."""
     if left:
         warnings.warn(f"{name}: {left} of {total} images {why} and are left out", stacklevel=4)
+
+
+def tell_lost(name: str, lost: int, total: int) -> None:
+    """Warns of cameras or poses whose images are missing."""
+    tell_left_out(name, lost, total, "have a pose, but are missing,")
 
 
 def tell_unlisted(name: str, files: Sequence[Path], left: int = 0, why: str = "") -> None:
@@ -144,6 +171,7 @@ def _without_number(file: Path) -> str:
     return re.sub(r"\d+", "#", file.name)
 
 
-def read_shots(shots: Sequence[Shot]) -> LazySequence[Frame]:
+def read_shots(shots: Sequence[Shot]) -> Frames:
     """Returns the frames in the order of the shots; each frame is read on access."""
-    return LazySequence(len(shots), lambda index: shots[index].read(), [shot.name for shot in shots])
+    names = [shot.name for shot in shots]
+    return Frames(len(shots), lambda index: shots[index].read(), names, lambda index: shots[index].has_depth())

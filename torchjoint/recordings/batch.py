@@ -19,7 +19,7 @@ from tqdm import tqdm
 from torchjoint.config import Config
 from torchjoint.engine import EngineLike, Outcome, WorkerDied, open_engine
 from torchjoint.recordings.one_scene import Job, SceneReport, check_origin, is_done, report_of, run_scene
-from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_recordings
+from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_recordings, possible_names
 from torchjoint.recordings.segment import RecordingOptions
 from torchjoint.results.checkpoint import model_checksums
 from torchjoint.results.folder import read_origin
@@ -224,11 +224,10 @@ def _prepared(out: Path) -> Path:
 
 
 def _folder(out: Path, name: str, path: Path, named: dict[str, Path]) -> str:
-    """The folder of a recording: its name, or a shorter one that an earlier batch of fewer recordings gave it."""
-    shorter = [name[place + 1 :] for place, letter in enumerate(name) if letter == "-"]
-    for one in shorter:
+    """The folder of a recording: its name, or another one that an earlier batch of other recordings gave it."""
+    for one in (name, *(other for other in possible_names(path) if other not in named)):
         with suppress(OSError, ValueError, TypeError):  # a damaged result is not its
-            if one not in named and read_origin(out / one).scene == str(path.absolute()):
+            if read_origin(out / one).scene == str(path.absolute()):
                 return one
     return name
 

@@ -90,12 +90,22 @@ def _is_other(path: Path) -> bool:
 def _named(paths: list[Path]) -> dict[str, Path]:
     deepest = max(len(_parts(path)) for path in paths)
     for has_suffix, depth in product((False, True), range(1, deepest + 1)):
-        names = [_folder_name("-".join(_parts(path, has_suffix)[-depth:])) for path in paths]
+        names = [_name(path, has_suffix, depth) for path in paths]
         if len(set(names)) == len(names):
             break
     same = Counter(map(str.casefold, names))  # some disks take them for one
     named = zip(names, paths, strict=True)
     return {one if same[one.casefold()] == 1 else file_name(f"{one}/{path.absolute()}"): path for one, path in named}
+
+
+def possible_names(path: Path) -> list[str]:
+    """The names that a recording can have, by the others of its batch."""
+    depths = range(1, len(_parts(path)) + 1)
+    return [_name(path, has_suffix, depth) for has_suffix, depth in product((False, True), depths)]
+
+
+def _name(path: Path, has_suffix: bool, depth: int) -> str:
+    return _folder_name("-".join(_parts(path, has_suffix)[-depth:]))
 
 
 def _folder_name(name: str) -> str:

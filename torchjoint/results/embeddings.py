@@ -74,7 +74,7 @@ def best_crops(scene: Scene, result: Segmentation, segment: int, k: int = 1, mar
     Returns:
         at most `k` crops; fewer if fewer frames see the segment.
     """
-    segment = check_segment(segment, result.num_point_segments)
+    segment = check_segment(segment, result.points)
     if k < 1 or not margin >= 0:
         raise ValueError(f"k and margin: expected k >= 1 and margin >= 0, got {k} and {margin}")
     if len(result.images) != len(scene.frames):
@@ -100,14 +100,14 @@ def crops_of(
     return [_crop(scene, result, segment, index, share[index], margin) for index in best[:k]]
 
 
-def check_segment(segment: int, count: int) -> int:
-    """Returns the id of a segment as int, if it is one of 0, ..., `count` - 1."""
+def check_segment(segment: int, labels: Tensor) -> int:
+    """Returns the id of a segment as int, if one of the points [N] has it; corrections by hand may leave gaps."""
     try:
         number = operator.index(segment)
     except TypeError:
         raise TypeError(f"segment: expected an id, an integer, got {segment!r}") from None
-    if not 0 <= number < count:
-        raise ValueError(f"segment: expected an id from 0 to {count - 1}, got {number}")
+    if number < 0 or number not in labels.numpy():
+        raise ValueError(f"segment: expected an id of a segment with points, got {number}: no point has it")
     return number
 
 

@@ -85,7 +85,7 @@ class Result(Segmentation):
             TypeError: the id is no integer.
             ValueError: an unknown id.
         """
-        segment = check_segment(segment, self.num_point_segments)
+        segment = check_segment(segment, self.points)
         cloud = Scene(self.scene.points, colors=self.scene.colors, name=f"{self.scene.name} {segment}".strip())
         return cloud.select_points(self.points == segment)
 

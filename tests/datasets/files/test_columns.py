@@ -170,5 +170,18 @@ def test_bad_colours_and_opacities_are_estimated():
         assert repaired(cloud_of(PLACES, "a")._replace(normals=torch.full((40, 3), torch.nan)), "a.ply").normals is None
 
 
+@pytest.mark.parametrize("head", ["x y z r g b\n", ""])
+def test_a_colour_of_256_darkens_no_other(tmp_path, head):
+    (tmp_path / "a.txt").write_text(f"{head}0.5 1 2 256 0 51\n0.25 3 4 204 102 255\n")
+    with pytest.warns(UserWarning, match="256 is taken as 255, full brightness"):
+        colors = read_cloud_file(tmp_path / "a.txt").colors
+    assert (255 * colors).round().tolist() == [[255, 0, 51], [204, 102, 255]]
+
+
+def test_colours_of_12_bits_are_told():
+    with pytest.warns(UserWarning, match=r"colours are at most 4095 of 65535, and .*: are they of 12 bits\?"):
+        unit_colors(np.array([[0, 300, 4095]], np.uint16))
+
+
 def test_signed_bytes_are_bytes():
     np.testing.assert_allclose(unit_colors(BYTES.view(np.int8)), UNIT, atol=1e-7)

@@ -56,6 +56,18 @@ def test_what_programs_write(tmp_path, name, data):
     np.testing.assert_allclose(read.colors, RGB / 255, atol=1e-6)
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_column_that_counts_the_rows_is_no_coordinate(tmp_path, first):
+    count = np.arange(first, first + 30.0)[:, None]
+    (tmp_path / "a.txt").write_text(text(count, XYZ, RGB))
+    with pytest.warns(UserWarning, match=r"^the first column counts the rows, and is not read; --columns xyz"):
+        read = read_cloud_file(tmp_path / "a.txt")
+    np.testing.assert_array_equal(read.points, XYZ)
+    np.testing.assert_allclose(read.colors, RGB / 255, atol=1e-6)
+    (tmp_path / "a.txt").write_text(text(count, XYZ[:, :2]))
+    np.testing.assert_array_equal(read_cloud_file(tmp_path / "a.txt").points[:, :1], count)
+
+
 @pytest.mark.parametrize("suffix", [".xyz", ".npy"])
 def test_normals_without_a_negative_one_are_no_colours(tmp_path, suffix):
     normals = UP.copy()

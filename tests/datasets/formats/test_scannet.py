@@ -267,6 +267,13 @@ class TestStream:
         with pytest.raises(ValueError, match=r"s\.sens, colour of frame 1: not a whole image"):
             stream.color(1)
 
+    def test_images_of_another_aspect_ratio(self, file):
+        self.patch(file, self.HEADER + 8, "II", 16, 12)
+        assert SensFile(file).color(0).shape == (3, 6, 8)
+        self.patch(file, self.HEADER + 8, "II", 16, 9)
+        with pytest.raises(ValueError, match=r"frame 0: expected the aspect ratio of .*16 x 9 pixels, got 8 x 6"):
+            SensFile(file).color(0)
+
     @pytest.mark.parametrize("count", [4, 2**40, 2**64 - 1])
     def test_more_frames_than_there_are(self, file, count):
         self.patch(file, self.HEADER + 28, "Q", count)
@@ -425,7 +432,8 @@ class TestExported:
 
     def test_depth_is_optional(self, folder):
         (folder / "depth" / "1.png").unlink()
-        frames = tj.load_scene(folder).frames
+        with pytest.warns(UserWarning, match="depth: 1 of 2 frames have no depth image"):
+            frames = tj.load_scene(folder).frames
         assert frames[0].depth is not None
         assert frames[1].depth is None
 

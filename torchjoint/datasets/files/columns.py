@@ -127,8 +127,14 @@ def unit_colors(colors: Array) -> Tensor:
         colors = colors.view(np.uint8)
     is_float = colors.dtype.kind == "f"
     largest = float(np.max(colors, initial=0, where=np.abs(colors) <= 65535 if is_float else True))
+    if is_float and largest == 256:
+        warnings.warn("colours of 0 to 256: 256 is taken as 255, full brightness", stacklevel=4)
+        colors, largest = np.where(colors == 256, 255, colors), 255.0
     most = None if is_float else int(np.iinfo(colors.dtype).max)
     white = 255 if colors.dtype == np.uint8 else full_brightness(largest, most)
+    if white == 65535 and largest < 4096:
+        told = f"colours are at most {largest:g} of 65535, and are read as dark: are they of 12 bits?"
+        warnings.warn(told, stacklevel=4)
     return torch.from_numpy((colors if white == 1 else colors / white).astype(np.float32))
 
 

@@ -29,6 +29,8 @@ MOST_COLUMNS = 16
 NAMES = ("x", "y", "z", "r", "g", "b", "nx", "ny", "nz")
 #: Normals in text have few digits, and a few have no length.
 UNIT, MOST_UNIT = 0.02, 0.95
+#: A column that counts fewer rows may be a coordinate.
+FEWEST_COUNTED = 10
 
 Array = npt.NDArray[Any]
 
@@ -149,17 +151,21 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}")
     if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
-    values = rows.astype(np.float64)
+    rows = rows.astype(np.float64)
+    if _is_count(rows):
+        told = "the first column counts the rows, and is not read; --columns xyz... names the columns"
+        warnings.warn(told, stacklevel=3)
+        rows = rows[:, 1:]
     names, found = ["x", "y", "z"], ["x y z"]
-    if rows.shape[1] >= 7 and (is_pts or not _are_bytes(values[:, 3])) and _are_bytes(_known(values[:, 4:7])):
+    if rows.shape[1] >= 7 and (is_pts or not _are_bytes(rows[:, 3])) and _are_bytes(_known(rows[:, 4:7])):
         names += ["intensity", "r", "g", "b"]
         found.append("colours behind an intensity")
     while rows.shape[1] >= len(names) + 3:
-        three = _known(values[:, len(names) : len(names) + 3])
+        three = _known(rows[:, len(names) : len(names) + 3])
         if "nx" not in names and _are_unit(three):
             names += ["nx", "ny", "nz"]
             found.append("normals")
-        elif "r" not in names and three.size and three.min() >= 0 and three.max() <= 255:
+        elif "r" not in names and three.size and three.min() >= 0 and three.max() <= 256:
             names += ["r", "g", "b"]
             found.append("colours")
         else:
@@ -171,7 +177,14 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
             "xyz... names others",
             stacklevel=3,
         )
-    return cloud_of(dict(zip(names, values.T, strict=False)), "rows")
+    return cloud_of(dict(zip(names, rows.T, strict=False)), "rows")
+
+
+def _is_count(rows: Array) -> bool:
+    """Whether the first of four or more columns is 0, 1, 2, ... or 1, 2, 3, ...: no coordinate."""
+    if rows.shape[1] < 4 or len(rows) < FEWEST_COUNTED or rows[0, 0] not in (0, 1):
+        return False
+    return bool((rows[:, 0] - rows[0, 0] == np.arange(len(rows))).all())
 
 
 def _known(values: Array) -> Array:

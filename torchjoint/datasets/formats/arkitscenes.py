@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole
 from torchjoint.datasets.files.text import parse_numbers, read_record, read_rows, read_timed_rows
-from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_left_out
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_left_out, tell_lost
 from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
@@ -33,7 +33,7 @@ WHAT = "lowres_wide.traj with lowres_wide/, lowres_wide_intrinsics/, lowres_dept
 TRAJECTORY, IMAGES, DEPTHS, CAMERAS = "lowres_wide.traj", "lowres_wide", "lowres_depth", "lowres_wide_intrinsics"
 #: Poses are known ten times a second.
 TOLERANCE = 0.06
-#: Times of an image and of its camera may differ in the last digit, seconds.
+#: Times of an image, its camera and its depth may differ in the last digit, seconds.
 STEP = 0.001
 
 
@@ -55,8 +55,11 @@ def _frames_folder(path: Path) -> Path:
 def _read_frames(folder: Path) -> LazySequence[Frame]:
     images = sorted((_time(file), file) for file in (folder / IMAGES).glob("*.png"))
     poses = _read_poses(folder / TRAJECTORY, [time for time, _ in images])
+    cameras = {file: _near(folder / CAMERAS, file.stem, ".pincam") for _, file in images}
+    lost = len({*(folder / CAMERAS).glob("*.pincam")}.difference(cameras.values()))
+    tell_lost(str(folder), lost, lost + len(images))
     shots = [
-        Shot(file, _camera(folder / CAMERAS, file.stem), invert_pose(pose), file.stem, folder / DEPTHS / file.name)
+        Shot(file, _camera(cameras[file]), invert_pose(pose), file.stem, _near(folder / DEPTHS, file.stem, ".png"))
         for (_, file), pose in zip(images, poses, strict=True)
         if pose is not None
     ]
@@ -81,10 +84,14 @@ def _read_poses(file: Path, times: list[float]) -> list[Tensor | None]:
     return interpolate_poses(poses, np.array(times, dtype=np.float64), TOLERANCE, str(file))
 
 
-def _camera(folder: Path, stem: str) -> Camera:
+def _near(folder: Path, stem: str, suffix: str) -> Path:
+    """The file of an image, which may have another time in its name."""
     identifier, _, time = stem.rpartition("_")
-    near = (f"{identifier}_{float(time) + shift:.3f}.pincam" for shift in (0, -STEP, STEP))
-    file = next((folder / name for name in near if has_file(folder / name)), folder / f"{stem}.pincam")
+    near = (folder / f"{identifier}_{float(time) + shift:.3f}{suffix}" for shift in (0, -STEP, STEP))
+    return next(filter(has_file, near), folder / f"{stem}{suffix}")
+
+
+def _camera(file: Path) -> Camera:
     rows = read_rows(file, "width height fx fy cx cy", 6)
     if len(rows) != 1:
         raise ValueError(f"{file}: expected one line of width height fx fy cx cy, got {len(rows)}")

@@ -21,10 +21,9 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import world_to_camera
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_label_image, read_matrix
-from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames, sorted_images
+from torchjoint.datasets.recording import Frames, Options, find_cloud, scene_of_frames, sorted_images
 from torchjoint.datasets.truth import label_images
 from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
-from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import as_labels
 
@@ -44,7 +43,7 @@ def load(path: Path, options: Options) -> Scene:
     return replace(scene, truth=_truth(path, frames.names, len(scene.points)))
 
 
-def read_frames(path: Path) -> LazySequence[Frame]:
+def read_frames(path: Path) -> Frames:
     """Returns the frames of a folder; each frame is read on access."""
     colors = sorted_images(path, _color_files(path))
     stems = [file.name.split(".")[0] for file in colors]
@@ -63,7 +62,10 @@ def read_frames(path: Path) -> LazySequence[Frame]:
     # Reads all poses at once: a bad pose must be found before hours of work, not after.
     poses = [world_to_camera(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
     intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
-    return LazySequence(len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]), stems)
+    depths = [_beside(file, ".depth.png") for file in colors]
+    return Frames(
+        len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]), stems, lambda i: has_file(depths[i])
+    )
 
 
 def _read_frame(file: Path, intrinsics: Tensor, world_to_camera: Tensor) -> Frame:

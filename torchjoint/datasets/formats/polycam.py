@@ -22,7 +22,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import pinhole, resize_depth, world_to_camera
 from torchjoint.datasets.files.readers import read_depth, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
-from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, sorted_images
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, sorted_images, tell_lost
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.scene import Scene
 
@@ -41,6 +41,8 @@ def load(path: Path, options: Options) -> Scene:
     files = sorted_images(images, images.glob("*.jpg"))
     if not files:
         raise ValueError(f"{images}: expected images, .jpg, got none")
+    lost = {file.stem for file in cameras.glob("*.json")} - {file.stem for file in files}
+    tell_lost(str(path), len(lost), len(lost) + len(files))
     shots = [_shot(file, read_record(cameras / f"{file.stem}.json", "a camera of Polycam"), folder) for file in files]
     return scene_of_frames(path, read_shots(shots), options)
 
@@ -49,14 +51,12 @@ def _shot(file: Path, values: Record, folder: Path) -> Shot:
     pose = [[values.number(f"t_{row}{column}") for column in range(4)] for row in range(3)]
     camera = pinhole((values.number(key) for key in ("fx", "fy", "cx", "cy", "width", "height")), values.name)
     extrinsics = world_to_camera(torch.tensor(pose, dtype=torch.float64), values.name, opengl=True)
-    return Shot(file, camera, extrinsics, file.stem, partial(_read_depth, folder, file.stem))
+    depth = partial(_read_depth, folder, file.stem) if has_file(folder / "depth" / f"{file.stem}.png") else None
+    return Shot(file, camera, extrinsics, file.stem, depth)
 
 
-def _read_depth(folder: Path, stem: str) -> Tensor | None:
-    file, confidence = folder / "depth" / f"{stem}.png", folder / "confidence" / f"{stem}.png"
-    if not has_file(file):
-        return None
-    depth = read_depth(file)
+def _read_depth(folder: Path, stem: str) -> Tensor:
+    depth, confidence = read_depth(folder / "depth" / f"{stem}.png"), folder / "confidence" / f"{stem}.png"
     if not has_file(confidence):
         return depth
     sure = resize_depth(read_label_image(confidence), (depth.shape[0], depth.shape[1]), str(confidence)) > 0

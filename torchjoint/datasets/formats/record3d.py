@@ -28,11 +28,10 @@ from torchjoint.datasets.cameras import FLIP_YZ, Camera, invert_pose, pinhole_ma
 from torchjoint.datasets.files.binary import Members
 from torchjoint.datasets.files.readers import decode_image, rgb_of
 from torchjoint.datasets.files.text import Record, parse_record
-from torchjoint.datasets.recording import Options, scene_of_frames
+from torchjoint.datasets.recording import Frames, Options, scene_of_frames, tell_lost
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.runtime.messages import needed_for
-from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
 
 WHAT = "an .r3d file, metadata with rgbd/, or EXR_RGBD/ with metadata.json, rgb/ and depth/ (Record3D)"
@@ -62,7 +61,7 @@ def _folder(path: Path) -> Path:
     return path / EXPORT if has_folder(path / EXPORT) else path
 
 
-def _read_frames(files: Members) -> LazySequence[Frame]:
+def _read_frames(files: Members) -> Frames:
     metadata, folder = ("metadata", "rgbd") if "metadata" in files.names else ("metadata.json", "rgb")
     values = parse_record(files.read(metadata, bounds.JSON_BYTES), f"{files.path}: {metadata}")
     found = (re.fullmatch(rf"{folder}/([0-9]{{1,9}})\.jpg", file) for file in files.names)
@@ -71,6 +70,7 @@ def _read_frames(files: Members) -> LazySequence[Frame]:
     if not images or images[-1][0] >= len(poses):
         last = images[-1][1] if images else "none"
         raise ValueError(f"{values.name}: poses: expected one for each image, got {len(poses)}; last image: {last}")
+    tell_lost(str(files.path), len(poses) - len(images), len(poses))
     cameras = _read_cameras(values, len(poses))
 
     def read(index: int) -> Frame:
@@ -80,12 +80,17 @@ def _read_frames(files: Members) -> LazySequence[Frame]:
         depth = _read_depth(files, number, values)
         return cameras[number].frame(image, poses[number], depth, str(number))
 
-    return LazySequence(len(images), read, [str(number) for number, _ in images])
+    names = [str(number) for number, _ in images]
+    return Frames(len(images), read, names, lambda index: _has_depth(files, images[index][0]))
+
+
+def _has_depth(files: Members, number: int) -> bool:
+    return not {f"depth/{number}.exr", f"rgbd/{number}.depth"}.isdisjoint(files.names)
 
 
 def _read_depth(files: Members, number: int, values: Record) -> Tensor | None:
     exr, packed, confidence = f"depth/{number}.exr", f"rgbd/{number}.depth", f"rgbd/{number}.conf"
-    if exr not in files.names and packed not in files.names:
+    if not _has_depth(files, number):
         return None
     depth = read_exr(files.path / exr, "R") if exr in files.names else _unpack(files, packed, values, "<f4")
     known = torch.isfinite(depth) & (depth > 0)

@@ -33,7 +33,15 @@ from torch import Tensor
 from torchjoint.datasets.cameras import register_depth, stretch_intrinsics, world_to_camera
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.readers import decode_image, read_depth, read_image, read_matrix, rgb_of
-from torchjoint.datasets.recording import Options, read_shots, scene_of_frames, sorted_images, tell_left_out
+from torchjoint.datasets.recording import (
+    Frames,
+    Options,
+    read_shots,
+    scene_of_frames,
+    sorted_images,
+    tell_left_out,
+    tell_lost,
+)
 from torchjoint.datasets.truth import image_instances, vertex_instances
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import (
@@ -45,7 +53,6 @@ from torchjoint.runtime.foreign_files import (
     or_unreadable,
     read_text,
 )
-from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import as_intrinsics
 
@@ -61,6 +68,8 @@ _RAW, _ZLIB = 0, 1
 _HEADER = "64f2i4If"
 #: Pose, times of colour and depth, bytes of colour and depth.
 _FRAME, _FRAME_BYTES = "16f4Q", 96
+#: Images of 640 x 480 pixels are those of 1296 x 968, stretched by .4 %; what is stretched more is cropped.
+STRETCH = 0.02
 Size = tuple[int, int]
 
 #: (H, W) of the sensor's images in nearly all scans.
@@ -90,7 +99,7 @@ def scenes(path: Path) -> dict[str, Path]:
     return {one.name: one for one in folders if or_unreadable(recognizes, one)}
 
 
-def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
+def _read_frames(folder: Path, scan: str) -> Frames:
     if has_file(folder / f"{scan}.sens"):
         stream = SensFile(folder / f"{scan}.sens")
         cameras = SceneCameras(
@@ -99,7 +108,7 @@ def _read_frames(folder: Path, scan: str) -> LazySequence[Frame]:
         )
         poses = [(f"{stream.path}, pose of frame {i}", pose) for i, pose in enumerate(stream.poses)]
         names = [str(i) for i in range(len(stream))]
-        return _frames(stream.path, names, poses, cameras, lambda i: (stream.color(i), stream.depth(i)))
+        return _frames(stream.path, names, poses, cameras, lambda i: (stream.color(i), stream.depth(i)), lambda _: True)
     if not has_frames(folder):
         return read_shots(())
     found = find_cameras(folder, folder / f"{scan}.txt")
@@ -113,7 +122,7 @@ def has_frames(folder: Path) -> bool:
     return has_folder(folder / "color") and has_folder(folder / "pose")
 
 
-def read_frames(folder: Path, cameras: SceneCameras) -> LazySequence[Frame]:
+def read_frames(folder: Path, cameras: SceneCameras) -> Frames:
     """Returns the frames with valid poses, sorted by number; each frame is read on access.
 
     Poses are camera-to-world, OpenCV axes, metres. Where tracking was lost, poses hold -inf; these frames are left out.
@@ -128,20 +137,19 @@ def read_frames(folder: Path, cameras: SceneCameras) -> LazySequence[Frame]:
     return frames_of(folder, images, cameras, (folder / "pose", folder / "depth"))
 
 
-def frames_of(
-    folder: Path, images: Sequence[Path], cameras: SceneCameras, beside: tuple[Path, Path]
-) -> LazySequence[Frame]:
+def frames_of(folder: Path, images: Sequence[Path], cameras: SceneCameras, beside: tuple[Path, Path]) -> Frames:
     """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
     names = [file.stem for file in images]
     lost = {file.stem for file in beside[0].glob("*.txt") if file.stem.isdigit()}.difference(names)
-    tell_left_out(str(folder), len(lost), len(lost) + len(names), "have a pose, but are missing,")
-    files = [beside[0] / f"{name}.txt" for name in names]
+    tell_lost(str(folder), len(lost), len(lost) + len(names))
+    files, depths = [beside[0] / f"{name}.txt" for name in names], [beside[1] / f"{name}.png" for name in names]
 
     def read(index: int) -> tuple[Tensor, Tensor | None]:
-        depth = beside[1] / f"{names[index]}.png"
+        depth = depths[index]
         return read_image(images[index]), read_depth(depth) if has_file(depth) else None
 
-    return _frames(folder, names, [(str(file), read_matrix(file, (4, 4))) for file in files], cameras, read)
+    poses = [(str(file), read_matrix(file, (4, 4))) for file in files]
+    return _frames(folder, names, poses, cameras, read, lambda index: has_file(depths[index]))
 
 
 def _frames(
@@ -150,7 +158,8 @@ def _frames(
     poses: Sequence[tuple[str, Tensor]],
     cameras: SceneCameras,
     read: Callable[[int], tuple[Tensor, Tensor | None]],
-) -> LazySequence[Frame]:
+    has_depth: Callable[[int], bool],
+) -> Frames:
     """The frames with finite poses; each pose has its name for messages; `read` gives colours and depth of a frame."""
     kept = [i for i, (_, pose) in enumerate(poses) if torch.isfinite(pose).all()]
     tell_left_out(str(source), len(poses) - len(kept), len(poses))
@@ -160,7 +169,7 @@ def _frames(
         i = kept[place]
         return make_frame(names[i], *read(i), cameras, extrinsics[i])
 
-    return LazySequence(len(kept), frame, [names[i] for i in kept])
+    return Frames(len(kept), frame, [names[i] for i in kept], lambda place: has_depth(kept[place]))
 
 
 def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: SceneCameras, world_to_camera: Tensor) -> Frame:
@@ -287,10 +296,15 @@ class SensFile:
         return len(self._blobs)
 
     def color(self, index: int) -> Tensor:
-        """Decodes a frame's colours, [3, H, W] uint8 RGB, at the image's own size. ValueError if damaged."""
+        """Decodes a frame's colours, [3, H, W] uint8 RGB, at the image's own size. ValueError if damaged or cropped."""
         blobs = self._blobs[index]
         name = f"{self.path}, colour of frame {index}"
-        return rgb_of(decode_image(self._read(blobs.start, blobs.color_bytes, name), name), name)
+        image = rgb_of(decode_image(self._read(blobs.start, blobs.color_bytes, name), name), name)
+        (_, height, width), (h, w) = image.shape, self.color_size
+        if abs(height * w - width * h) > max(STRETCH * width * h, w, h):
+            got = f"{width} x {height}: is it cropped?"
+            raise ValueError(f"{name}: expected the aspect ratio of the header, {w} x {h} pixels, got {got}")
+        return image
 
     def depth(self, index: int) -> Tensor:
         """Decodes a frame's depth, [h, w] float32 metres, 0 = unknown, of `depth_size`. ValueError if damaged."""
