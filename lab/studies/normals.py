@@ -28,7 +28,7 @@ from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.mesh import face_edges
 from torchjoint.cloud.neighbors import nearest_neighbors
 from torchjoint.cloud.normals import estimate_normals
-from torchjoint.datasets.formats.cloud_alone import vertex_normals
+from torchjoint.datasets.formats.cloud_alone import agreed_normals
 from torchjoint.segments.method import LEARNED
 
 VOXEL, NEAR, OFF, DISCS = 0.02, 0.05, 15.0, 0.8
@@ -61,7 +61,7 @@ def of_mesh(made: SyntheticScene) -> tuple[Trial, Tensor]:
     mesh = mesh_of(made)
     points, faces = torch.from_numpy(np.asarray(mesh.vertices)), torch.from_numpy(np.asarray(mesh.triangles)).long()
     away, near = cKDTree(made.scene.points.numpy()).query(points.numpy())
-    normals = vertex_normals(points, faces)
+    normals = agreed_normals(points, faces)
     assert normals is not None
     colors = torch.from_numpy(np.asarray(mesh.vertex_colors)).float().clamp(0, 1)
     labels = torch.where(torch.from_numpy(away < NEAR), made.point_labels[near], -1)

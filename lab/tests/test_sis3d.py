@@ -286,6 +286,7 @@ class TestDamagedFiles:
             self.read(path)
         assert torch.equal(self.read(path)[1], truth)
 
+    @pytest.mark.filterwarnings("ignore:depth")
     def test_files_are_missing(self, tmp_path, path):
         for file in sorted(file for file in tmp_path.rglob("*") if file.is_file()):
             whole = file.read_bytes()
