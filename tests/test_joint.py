@@ -499,7 +499,7 @@ class TestPoseCheck:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 check = PoseCheck(synthetic.scene.cloud, spacing, CONFIG.visibility, LocalFrame.of_world())
-                check.look_at(frames)
+                check.check_all(frames)
                 check.warn()
             assert any("the depth images and the cloud disagree" in str(one.message) for one in caught) == warns
 

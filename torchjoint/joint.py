@@ -6,7 +6,7 @@ Sequences", ICRA 2021. A run is a fold over the frames, because evidence is a su
     graph, method = prepare(cloud, config)                               # step 3
     evidence = Evidence.empty(graph)
     for batch in batches_of_frames:
-        evidence += observe(batch, graph, config, images, stopwatch)     # steps 1, 2, 4, 5
+        evidence += observe(batch, graph, config, image_segmenter, stopwatch)  # steps 1, 2, 4, 5
     tree = method.segment(graph, evidence, config)                       # step 6
     result = label(tree, graph, evidence, config, stopwatch)             # steps 7, 8
 """
@@ -59,7 +59,7 @@ def prepare(
         merge_within: metres; the points in one cube with this side are merged to their mean; 0: only copies.
         method: default: the one that the config names.
     """
-    distinct, of_given = without_copies(cloud)
+    distinct, distinct_of_given = without_copies(cloud)
     method = method or choose_method(config, distinct.points)
     graph = method.prepare(distinct, config, merge_within)
     if len(graph.of_given) != len(distinct.points):
@@ -67,7 +67,8 @@ def prepare(
             f"method: {method.name}.prepare gave a graph of {len(graph.of_given)} points, expected its `of_given` of "
             f"{len(distinct.points)}; see PointGraph.of"
         )
-    return graph if of_given is None else graph.of(graph.local, graph.of_given[of_given]), method
+    # The method knows the distinct points only.
+    return graph if distinct_of_given is None else graph.of(graph.local, graph.of_given[distinct_of_given]), method
 
 
 def brightened_frame(frame: Frame, graph: PointGraph | None = None) -> Frame:
@@ -81,7 +82,7 @@ def brightened_frame(frame: Frame, graph: PointGraph | None = None) -> Frame:
 @torch.no_grad()
 @one_thread_per_operation()
 def observe(
-    frames: Sequence[Frame], graph: PointGraph, config: Config, images: ImageSegmenter, stopwatch: Stopwatch
+    frames: Sequence[Frame], graph: PointGraph, config: Config, image_segmenter: ImageSegmenter, stopwatch: Stopwatch
 ) -> list[FrameEvidence]:
     """Steps 1, 2, 4 and 5: the evidence of frames, which :class:`Evidence` adds up.
 
@@ -89,12 +90,12 @@ def observe(
         frames: those that follow each other and have one size are a batch for the image modules.
         graph: of the cloud.
         config: all parameters.
-        images: steps 1 and 2.
+        image_segmenter: steps 1 and 2.
         stopwatch: records the seconds of the steps.
     """
     frames = parallel_map(lambda frame: brightened_frame(frame, graph), frames)
     batches = [list(batch) for _, batch in groupby(frames, key=lambda frame: frame.size)]
-    segments = [of_frame for batch in batches for of_frame in images(batch, stopwatch)]
+    segments = [of_frame for batch in batches for of_frame in image_segmenter(batch, stopwatch)]
     pairs = list(zip(frames, segments, strict=True))
     return parallel_map(lambda pair: observe_frame(*pair, graph, config, stopwatch), pairs)
 
@@ -169,7 +170,7 @@ class JointSegmenter(nn.Module):
         self._given: Tensor | None = None
         self._method: Method | None = None
         self._graph: PointGraph | None = None
-        self._check: PoseCheck | None = None  # of frames that come one by one
+        self._pose_check: PoseCheck | None = None  # of frames that come one by one
         self._state: Evidence | None = None
 
     @classmethod
@@ -255,7 +256,7 @@ class JointSegmenter(nn.Module):
         checked = frames_to_check(scene)
         if checked:
             check = self._new_check(scene.name)
-            check.look_at(checked.values())
+            check.check_all(checked.values())
             check.warn()
         if resume is not None:
             self.state = resume(self._store()) or self.state
@@ -314,7 +315,7 @@ class JointSegmenter(nn.Module):
             if logger.isEnabledFor(logging.INFO):
                 logger.info(describe(given, self._graph, self._method))
         self._state = Evidence.empty(self._graph, self._store())
-        self._check = None
+        self._pose_check = None
 
     def _store(self) -> Observations:
         return Observations(budget=self._memory, folder=self._offload)
@@ -335,8 +336,8 @@ class JointSegmenter(nn.Module):
             PoseWarning: the poses or intrinsics look wrong. It comes after some frames, or in :meth:`compute`.
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
-        self._check = self._check or self._new_check()
-        self._check.look_as_they_come(frames)
+        self._pose_check = self._pose_check or self._new_check()
+        self._pose_check.check_incrementally(frames)
         if not self.state.observations and frames and not self.method.uses_images:
             _warn_of_unused_inputs(frames[0], self.method)
         self.state += self._observed(frames)
@@ -369,8 +370,8 @@ class JointSegmenter(nn.Module):
         if config is not None and not isinstance(config, Config):
             raise TypeError(f"config: expected a Config, got {type(config).__name__}")
         graph, evidence, config, method = self.graph, self.state, config or self.config, self._method_of(config)
-        if self._check is not None:
-            self._check.warn()
+        if self._pose_check is not None:
+            self._pose_check.warn()
         evidence.check_seen()
         with one_thread_per_operation():
             clock = Stopwatch()  # of this result: others may follow

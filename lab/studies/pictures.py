@@ -87,7 +87,7 @@ def message(scene: tj.Scene) -> str:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check = PoseCheck(scene.cloud, spacing, VisibilityConfig(), LocalFrame.of_world(), scene.name)
-        check.look_at(frames_to_check(scene).values())
+        check.check_all(frames_to_check(scene).values())
         check.warn()
     said = [str(warning.message) for warning in caught if issubclass(warning.category, PoseWarning)]
     return "; ".join(text.partition(": ")[2] for text in said)

@@ -57,7 +57,7 @@ def warned(segmenter: tj.JointSegmenter, scene: Scene) -> bool:
     graph = segmenter.graph
     cloud = Scene(graph.points, colors=graph.colors)
     check = PoseCheck(cloud, graph.spacing, segmenter.config.visibility, graph.local)
-    check.look_at(frames_to_check(scene).values())
+    check.check_all(frames_to_check(scene).values())
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check.warn()

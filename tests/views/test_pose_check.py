@@ -33,7 +33,7 @@ def spacing_of(scene):
 
 def check_of(scene, frames):
     check = PoseCheck(scene.cloud, spacing_of(scene), CONFIG, LocalFrame.of_world(), scene.name)
-    check.look_at(frames)
+    check.check_all(frames)
     return check
 
 

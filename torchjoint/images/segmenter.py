@@ -1,4 +1,4 @@
-"""Steps 1 and 2 together: boundaries and initial labels of a batch of frames, which are brightened if they are dark."""
+"""Steps 1 and 2 together: boundaries and initial labels of a batch of frames."""
 
 from __future__ import annotations
 

@@ -267,17 +267,17 @@ class PoseCheck:
         self._said: set[str] = set()
         self._seen = 0
 
-    def look_at(self, frames: Iterable[Frame]) -> None:
+    def check_all(self, frames: Iterable[Frame]) -> None:
         """Compares these frames."""
         with one_thread_per_operation():
             self._looks += parallel_map(self._look, frames)
 
-    def look_as_they_come(self, frames: Sequence[Frame]) -> None:
+    def check_incrementally(self, frames: Sequence[Frame]) -> None:
         """Compares some of the frames of a stream, and warns as soon as there are NUM_FRAMES of them."""
         chosen = [frame for number, frame in enumerate(frames, self._seen) if number in CHECKED]
         self._seen += len(frames)
         if chosen:
-            self.look_at(chosen)
+            self.check_all(chosen)
             if len(self._looks) >= NUM_FRAMES:
                 self.warn()
 

@@ -128,9 +128,9 @@ class TestEnsemble:
         member = torch.arange(6).repeat(1000)
         one, same = (asked(Ensemble(model), torch.zeros(6000, 1), member) for _ in range(2))
         assert torch.equal(one, same)
-        is_unsure = (member == 2) | (member == 3)
-        assert (one[~is_unsure] == 0.5).all()
-        odds = torch.logit(one[is_unsure])
+        is_perturbed = (member == 2) | (member == 3)
+        assert (one[~is_perturbed] == 0.5).all()
+        odds = torch.logit(one[is_perturbed])
         assert odds.std() == pytest.approx(NOISE, rel=0.05)
         assert odds.abs().max() < NOISE * 3**0.5
 
@@ -166,7 +166,7 @@ def evidence(segmenter):
 class Silent(Ensemble):
     """The ensemble without noise."""
 
-    def _disturbed(self, probability, is_unsure):
+    def _perturbed(self, probability, is_perturbed):
         return probability
 
 

@@ -68,7 +68,7 @@ def jittered(graph: PointGraph, scales: Scales, number: int) -> PointGraph:
     return replace(graph, points=points, normals=normals, wide_normals=estimate_normals(points, graph.neighbors))
 
 
-#: Standard deviation of the noise of a disturbed member, in log odds. Chosen among 0, .4, .7 and 1 on six real sets.
+#: Standard deviation of the noise of a perturbed member, in log odds. Chosen among 0, .4, .7 and 1 on six real sets.
 NOISE = 0.7
 #: Two regions merge if at most this share of the trees has them apart.
 MAJORITY = 0.5
@@ -88,7 +88,7 @@ class Ensemble:
         member = torch.eye(count, dtype=torch.float64)
         others = (1 - member) / (count - 1) if count > 1 else member
         self.weights = torch.cat([member, member, others])[share]  # [T, M]
-        self.is_unsure = (torch.arange(3 * count) // count == 1)[share]  # [T] bool
+        self.is_perturbed = (torch.arange(3 * count) // count == 1)[share]  # [T] bool
         self._random = torch.Generator().manual_seed(share.start)
 
     def probabilities(self, member_of_superpoint: Tensor, number: int, values: Tensor, superpoint: Tensor) -> Tensor:
@@ -105,7 +105,7 @@ class Ensemble:
         for trained, weight in zip(self._trained, self.weights.T[:, member], strict=True):
             rows = torch.nonzero(weight).squeeze(1)
             probability[rows] += weight[rows] * trained.probability(number, values[rows])
-        return self._disturbed(probability, self.is_unsure[member])
+        return self._perturbed(probability, self.is_perturbed[member])
 
     def first_probabilities(self, values: Tensor) -> Tensor:
         """The probabilities [T, B] of all members in the first round, of boundaries [B, F] that all see."""
@@ -113,13 +113,13 @@ class Ensemble:
         probability = torch.zeros(len(self.weights), len(values), dtype=torch.float64)
         for of_trained, weight in zip(found, self.weights.T, strict=True):  # the bits of `@` differ between machines
             probability += weight[:, None] * of_trained
-        return self._disturbed(probability, self.is_unsure[:, None].expand_as(probability))
+        return self._perturbed(probability, self.is_perturbed[:, None].expand_as(probability))
 
-    def _disturbed(self, probability: Tensor, is_unsure: Tensor) -> Tensor:
+    def _perturbed(self, probability: Tensor, is_perturbed: Tensor) -> Tensor:
         # Uniform noise: the bits of normal deviates differ between processors.
-        noise = 2 * torch.rand(int(is_unsure.sum()), generator=self._random, dtype=torch.float64) - 1
-        log_odds = torch.logit(probability[is_unsure], eps=1e-6) + NOISE * 3**0.5 * noise
-        return probability.masked_scatter(is_unsure, torch.sigmoid(log_odds))
+        noise = 2 * torch.rand(int(is_perturbed.sum()), generator=self._random, dtype=torch.float64) - 1
+        log_odds = torch.logit(probability[is_perturbed], eps=1e-6) + NOISE * 3**0.5 * noise
+        return probability.masked_scatter(is_perturbed, torch.sigmoid(log_odds))
 
 
 def build_consensus(copies: Sequence[SuperpointGraph], model: BoundaryModel) -> Hierarchy:
@@ -244,7 +244,7 @@ def _segments(
 ) -> list[list[Tensor]]:
     """For each level the segments of each of the members, whose regions after the first step [C], [P] are known."""
     found: dict[int, list[Tensor]] = {}
-    for members in _at_once(ensemble.is_unsure, cells.boundaries.num_edges.numel()):
+    for members in _at_once(ensemble.is_perturbed, cells.boundaries.num_edges.numel()):
         sizes = [int(of_cells[member].max()) + 1 for member in members]
         asked = torch.tensor(members).repeat_interleave(torch.tensor(sizes))
         graph, steps = cells.grouped(*(of_cells[member] for member in members)), merging_steps(model.thresholds)[1:]
@@ -255,13 +255,13 @@ def _segments(
     return [list(of_level) for of_level in zip(*(found[member] for member in range(len(regions))), strict=True)]
 
 
-def _at_once(is_unsure: Tensor, num_boundaries: int) -> list[list[int]]:
-    """The members whose graphs are one graph, which is faster but takes more memory. The unsure ones share noise."""
-    numbers = list(range(len(is_unsure)))
+def _at_once(is_perturbed: Tensor, num_boundaries: int) -> list[list[int]]:
+    """The members whose graphs are one graph, which is faster but takes more memory. The perturbed ones share noise."""
+    numbers = list(range(len(is_perturbed)))
     if num_boundaries * len(numbers) <= MANY_BOUNDARIES:
         return [numbers]
-    unsure = [number for number in numbers if is_unsure[number]]
-    return [[number] for number in numbers if number not in unsure] + ([unsure] if unsure else [])
+    perturbed = [number for number in numbers if is_perturbed[number]]
+    return [[number] for number in numbers if number not in perturbed] + ([perturbed] if perturbed else [])
 
 
 def _of_other_superpoints(regions: Sequence[Tensor], superpoint: Tensor, other: Tensor) -> list[Tensor]:
