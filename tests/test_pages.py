@@ -68,6 +68,7 @@ def world(tmp_path_factory, scene_of):
     (folder / "more.txt").write_text("recording\n")
     shutil.copy(folder / "recording" / "cloud.ply", folder / "cloud.ply")
     write_las(folder / "city.laz", town(5000, 60))
+    shutil.copy(folder / "city.laz", folder / "site.laz")
     (folder / "city").mkdir()
     shutil.copy(folder / "city.laz", folder / "city" / "a.laz")
     write_copc(folder / "city.copc.laz", laspy.read(folder / "city.laz"))
