@@ -56,7 +56,7 @@ def main() -> None:
             measured["regions"],
         ]
         rows.append([*sizes, measured["touching"], measured["all pairs"], measured["memory"]])
-    columns = {"pieces": 0, "frames": 0, "seen by a frame": 0, "million counts": 2, "pairs that do not touch": 0}
+    columns = {"superpoints": 0, "frames": 0, "seen by a frame": 0, "million counts": 2, "pairs that do not touch": 0}
     columns |= {"regions at the end": 0, "s, touching": 1, "s, all pairs": 1, "GB": 2}
     report.save("mask_cost", [report.Table(columns, rows)])
 

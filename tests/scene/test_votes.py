@@ -106,7 +106,7 @@ def test_wrong_votes(segments, size, message):
         segmentation(Votes(torch.tensor(segments), torch.tensor(size)))
 
 
-def test_judges_of_a_small_room(scene_of):
+def test_members_of_a_small_room(scene_of):
     scene = scene_of(0).scene
     result = tj.JointSegmenter()(scene)
     assert result.confidence.shape == (result.num_point_segments,)

@@ -53,7 +53,7 @@ def test_one_tile_is_the_cloud_in_one_piece_and_all_else_stays(cloud, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["out.laz"]
 
 
-def test_tiles_give_nearly_the_labels_of_one_superpoint(cloud, tmp_path):
+def test_tiles_give_nearly_the_labels_of_one_piece(cloud, tmp_path):
     made = superpoints_of_files(cloud, tmp_path / "out.las", tile=7, buffer=1, engine="loky:1")
     assert made.num_tiles >= 4
     whole = tj.superpoints(torch.from_numpy(laspy.read(cloud).xyz.copy()))

@@ -59,7 +59,7 @@ def test_a_labelled_survey_can_be_shown(run, tmp_path):
     survey = laspy.LasData(laspy.LasHeader(point_format=2, version="1.2"))
     survey.x, survey.y, survey.z = np.random.default_rng(0).uniform(0, 1, (3, 500))
     survey.write(tmp_path / "a.las")
-    with pytest.raises(ValueError, match=r"a\.las: expected a \.ply, \.las or \.laz with `label`"):
+    with pytest.raises(ValueError, match=r"a\.las: expected .* got no labels"):
         read_labelled_cloud(tmp_path / "a.las")
     run("superpoints", tmp_path / "a.las", "-o", tmp_path / "b.laz", "--no-picture")
     found = np.asarray(laspy.read(tmp_path / "b.laz")["superpoint"])

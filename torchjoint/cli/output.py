@@ -13,7 +13,7 @@ from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.folder import read_record
 from torchjoint.results.mask_report import count_masks
 from torchjoint.results.result import Result
-from torchjoint.runtime.foreign_files import has_file
+from torchjoint.runtime.foreign_files import has_file, read_json
 from torchjoint.runtime.messages import on_terminal, say
 from torchjoint.scene import Segmentation
 
@@ -44,7 +44,7 @@ def at_level(result: Path, loaded: Result, granularity: float | None) -> Result:
     """A result at another level, with a warning if this leaves corrections out; None: as it is."""
     if granularity is None:
         return loaded
-    if has_file(result / EDITS):
+    if has_file(result / EDITS) and read_json(result / EDITS, "a list of edits")["edits"]:
         warnings.warn(f"{result / EDITS}: --granularity gives a level without these corrections", stacklevel=3)
     return loaded.at(granularity)
 
@@ -58,7 +58,8 @@ def summarize(result: Segmentation, out: Path) -> None:
     if (masks := count_masks(out)) is not None:
         say(f"masks: {masks[0]} of {masks[1]} became a segment (IoU at least .5); masks.json tells of each")
     files = ["overview.png", "points.ply", "points.npz", "segments.json", "cameras.json", "run.yaml", "hierarchy.npz"]
-    folders = [f"{one}/" for one in ("images", "images_color", "inputs", "pieces") if len(result.images)]
+    folders = [f"{one}/" for one in ("images", "images_color", "inputs", "pieces")]
+    folders = [one for one in folders if len(result.images) and (out / one).is_dir()]
     say(f"written to {out}: {', '.join([one for one in files if (out / one).exists()] + folders)}")
 
 

@@ -11,6 +11,9 @@ from torchjoint import ops
 from torchjoint.config import ImageGraphConfig, ImageSegmentsConfig
 from torchjoint.images.contours import smooth
 
+#: Edges of images of at most so many pixels are kept for the next image.
+KEPT_PIXELS = 2_000_000
+
 
 @lru_cache(maxsize=2)
 def grid_edges(height: int, width: int) -> Tensor:
@@ -57,7 +60,9 @@ def segment_image(image: Tensor, boundary: Tensor, graph: ImageGraphConfig, segm
     Returns:
         [H, W] int64 labels 0, 1, 2, ... in the order of their first pixel, row by row.
     """
-    edge_index = grid_edges(*boundary.shape)
+    # The edges of large images take 64 bytes a pixel: too much to keep.
+    edges = grid_edges if boundary.numel() <= KEPT_PIXELS else grid_edges.__wrapped__
+    edge_index = edges(*boundary.shape)
     weight = pixel_weights(image, boundary, graph)
     labels = ops.felzenszwalb(edge_index, weight, boundary.numel(), segments.scale, segments.min_size)
     return labels.view_as(boundary)

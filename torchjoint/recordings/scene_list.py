@@ -101,7 +101,7 @@ def _named(paths: list[Path]) -> dict[str, Path]:
 def possible_names(path: Path) -> list[str]:
     """The names that a recording can have, by the others of its batch."""
     depths = range(1, len(_parts(path)) + 1)
-    return [_name(path, has_suffix, depth) for has_suffix, depth in product((False, True), depths)]
+    return [*dict.fromkeys(_name(path, suffix, depth) for suffix, depth in product((False, True), depths))]
 
 
 def _name(path: Path, has_suffix: bool, depth: int) -> str:

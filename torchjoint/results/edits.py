@@ -1,8 +1,7 @@
 """Corrections by hand (output after step 8): segments joined, split, gathered and named, on top of the labels.
 
 An edit names a segment by one of its superpoints, so it means the same at every level. A name also has the level at
-which it was given: it belongs to that segment and to finer ones. edits.json holds the edits; the labels on disk stay
-    the same.
+which it was given: it belongs to that segment and to finer ones. edits.json holds the edits; the labels on disk stay.
 It also holds the checksum of the result's manifest: another result of as many superpoints has other superpoints.
 """
 
@@ -168,13 +167,16 @@ class Edits:
         Returns:
             [P] the segment of each superpoint; the number of a segment is that of its first superpoint.
         """
-        *_, last = self.tables(table, hierarchy)
-        return last
+        for changed in self.tables(table, hierarchy):
+            table = changed
+        return table
 
     def tables(self, table: Table, hierarchy: Hierarchy | None) -> Iterator[Table]:
-        """The table [P] before the corrections and after each of them; arguments as those of :meth:`apply`."""
+        """The table [P] before the corrections and after each that changes it; arguments as those of :meth:`apply`."""
         yield (table := first_superpoints(table))
         for step in self.steps:
+            if step.kind == "name":
+                continue
             if step.kind == "join":
                 ends = [table[superpoint] for superpoint in step.superpoints]
                 table = np.where(np.isin(table, ends), min(ends), table)

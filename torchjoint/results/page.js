@@ -7,9 +7,9 @@ const [mode, level, told, clear] = ["mode", "level", "told", "clear"].map((id) =
 const unpack = ([kind, text]) => new globalThis[kind](Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
 const pieces = unpack(data.pieces); // of the points
 const light = unpack(data.light); // of the points, 0 to 255
-const palette = unpack(data.palette); // RGB of each id
+const palette = unpack(data.palette); // RGB of each hue
 const own = Object.fromEntries(Object.entries(data.own).map(([name, colors]) => [name, unpack(colors)])); // RGB of points
-const levels = data.levels.map((one) => ({ ids: unpack(one.ids), count: one.count, names: one.names }));
+const levels = data.levels.map((one) => ({ ids: unpack(one.ids), hues: unpack(one.hues), count: one.count, names: one.names }));
 const pale = matchMedia("(prefers-color-scheme: dark)").matches ? 30 : 200; // what is not selected, nearly the background
 let selected = null; // an id
 let pictures = [];
@@ -18,11 +18,11 @@ const now = () => levels[level.value];
 const called = (id) => `segment ${id}${now().names[id] ? ` ${now().names[id]}` : ""}`;
 
 function paintCloud() {
-  const { ids } = now();
+  const { ids, hues } = now();
   const colors = own[mode.value];
   const paint = Array.from(pieces, (piece, point) => {
     const id = ids[piece];
-    const [from, at] = colors ? [colors, 3 * point] : [palette, 3 * id];
+    const [from, at] = colors ? [colors, 3 * point] : [palette, 3 * hues[piece]];
     const shade = mode.value === "colours" ? 1 : light[point] / 255;
     const rgb = [0, 1, 2].map((k) => from[at + k] * shade);
     const faded = selected === null || selected === id ? rgb : rgb.map((value) => 0.15 * value + pale);
@@ -37,7 +37,8 @@ function paintPicture({ canvas, photo, labels }) {
   const { width, height } = canvas;
   const context = canvas.getContext("2d");
   const image = new ImageData(new Uint8ClampedArray(photo), width, height);
-  const idOf = (pixel) => (labels[pixel] < 0 ? -1 : now().ids[labels[pixel]]);
+  const { ids, hues } = now();
+  const idOf = (pixel) => (labels[pixel] < 0 ? -1 : ids[labels[pixel]]);
   for (let pixel = 0; pixel < labels.length; pixel++) {
     const id = idOf(pixel);
     const shown = id >= 0 && (selected === null || id === selected);
@@ -47,7 +48,7 @@ function paintPicture({ canvas, photo, labels }) {
     for (let k = 0; k < 3; k++) {
       const value = photo[4 * pixel + k];
       const faded = selected === null || shown ? value : 0.5 * value + 64;
-      const color = painted ? 0.5 * (value + palette[3 * id + k]) : faded;
+      const color = painted ? 0.5 * (value + palette[3 * hues[labels[pixel]] + k]) : faded;
       image.data[4 * pixel + k] = border && (mode.value !== "colours" || selected !== null) ? 255 : color;
     }
   }

@@ -55,7 +55,7 @@ def write_page(path: Path, result: Result, up: Tensor | None = None, edits: Edit
     keep = torch.arange(0, len(scene.points), max(1, -(-len(scene.points) // MOST_POINTS)))
     levels, first = _levels(parts, edits or Edits(parts.count))
     points = f"{len(keep)} of {len(scene.points)} points" if len(keep) < len(scene.points) else f"{len(keep)} points"
-    colors = label_colors(torch.arange(int(parts.stored.max()) + parts.count + 1))
+    colors = label_colors(torch.arange(int(parts.keys.max()) + 1))
     own = _own_colors(scene, keep)
     data = {
         "pieces": _packed(parts.of_point[keep.numpy()].astype(np.uint32)),
@@ -85,7 +85,7 @@ def write_page(path: Path, result: Result, up: Tensor | None = None, edits: Edit
 
 
 def _levels(parts: Parts, edits: Edits) -> tuple[list[dict[str, Any]], int]:
-    """The levels from coarse to fine (ids of superpoints, number and names of segments), and the shown one."""
+    """The levels from coarse to fine (ids and hues of superpoints, number and names), and the shown one."""
     shown = parts.table(edits)
     found = {shown.tobytes(): (shown, edits)}
     for granularity in LEVELS if parts.result.hierarchy is not None else ():
@@ -98,7 +98,8 @@ def _levels(parts: Parts, edits: Edits) -> tuple[list[dict[str, Any]], int]:
         own = parts.ids(of_level)
         names = {int(own[segment]): name for segment, name in parts.names(of_level).items()}
         ids = _packed(own.astype(np.uint32))
-        levels.append({"ids": ids, "count": len(np.unique(table)), "names": names})
+        hues = _packed(parts.keys[table].astype(np.uint32))  # the same at all levels
+        levels.append({"ids": ids, "hues": hues, "count": len(np.unique(table)), "names": names})
     return levels, next(i for i, one in enumerate(ordered) if one[0] is shown)
 
 

@@ -19,8 +19,8 @@ class Parts:
     """The superpoints of a result: those of its hierarchy, or else its segments.
 
     If the first superpoint of a segment is the first one of a segment on disk, its id is the label of that segment. So
-    neither an edit nor another level changes the ids of other segments, and the ids of files that were written before
-    stay valid.
+    no edit changes the ids of other segments, and the ids of files that were written before stay valid. Segments of
+    another level that do not begin as one on disk have numbers of that level.
     """
 
     result: Result
@@ -93,7 +93,7 @@ class Parts:
         """[P] the id of each superpoint's segment; new segments follow all on disk, in the order of the edits."""
         own, following = np.where(first_superpoints(self.stored) == np.arange(self.count), self.stored, -1), count()
         for table in edits.tables(self.level(edits.granularity), self.result.hierarchy):
-            firsts = np.unique(table)
+            firsts = np.flatnonzero(table == np.arange(self.count))
             for first in firsts[own[firsts] < 0]:
                 own[first] = int(self.stored.max()) + 1 + next(following)
         return own[table]

@@ -84,8 +84,8 @@ class Segmentation:
     """Labels of points and pixels in one id space: the same id means the same object everywhere.
 
     Attributes:
-        points: [N] int64. Ids 0 ... num_point_segments - 1, numbered by first appearance in the cloud; -1 = none: beams
-            without return (many points at (0, 0, 0)).
+        points: [N] int64. Ids 0 ... num_point_segments - 1, numbered by first appearance in the cloud, but for
+            corrections by hand; -1 = none: beams without return (many points at (0, 0, 0)).
         images: a sequence of [H, W] int64, one per frame; -1 = none. An id >= num_point_segments is an image segment
             without visible points; such an id occurs in one image only.
         initial_images: the initial image segmentations, [H, W] int64 (each frame has its own ids).

@@ -233,9 +233,10 @@ class Model:
         self.table = self.parts.table(shown)  # raises before anything changes
         self.edits, self.names = edits, self.parts.names(shown)
         self._picked, self.clicks = picked, ()
-        if not np.array_equal(before, self.table):
+        ids = self.parts.ids(shown)
+        if not (np.array_equal(before, self.table) and np.array_equal(ids, self.measures.ids)):
             self.selected = tuple(dict.fromkeys(int(self.table[segment]) for segment in self.selected))
-            self.measures.of_table(self.table, self.parts.ids(shown))
+            self.measures.of_table(self.table, ids)
 
     # Words
 

@@ -43,11 +43,11 @@ def with_truth(result: Result, scene: Scene) -> Result:
 
 
 def read_labelled_cloud(path: Path) -> Result:
-    """Reads a .ply, .las or .laz with `label` or `superpoint`, or a .npz with the arrays points and labels."""
+    """Reads a .ply with `label`, a .las or .laz with `label` or `superpoint`, or a .npz with points and labels."""
     cloud = read_cloud_file(path)
     labels = _labels(path)
     if labels is None or len(labels) != len(cloud.points):
-        wanted = "a .ply, .las or .laz with `label` or `superpoint`, or a .npz with `labels`"
+        wanted = "a .ply with `label`, a .las or .laz with `label` or `superpoint`, or a .npz with `labels`"
         raise ValueError(f"{path}: expected {wanted}, got no labels")
     numbered = np.unique(labels, return_inverse=True)[1]
     colors = None if path.suffix == ".ply" else cloud.colors  # those of a .ply are of its segments

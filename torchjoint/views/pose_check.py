@@ -108,7 +108,7 @@ EDGE_SHIFTS = [
 
 
 class EdgeAlignment(NamedTuple):
-    """PoseAgreement of depth edges and image edges, mean over the frames.
+    """Agreement of depth edges and image edges, mean over the frames.
 
     Attributes:
         correlation: correlation of depth jumps and image edges at the given pose, -1 to 1.

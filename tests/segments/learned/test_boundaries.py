@@ -99,7 +99,13 @@ def test_histograms_of_many_boundaries_are_those_of_few(monkeypatch):
     counted = Boundaries.of(pair, 9, values)
     assert isinstance(kept.binned, dict)
     assert not isinstance(counted.binned, dict)
-    assert all(map(torch.equal, columns(kept), columns(counted)))
+    assert kept.num_edges.tolist() == pair.bincount().tolist()
+    assert kept.binned["gap"][:, 1].sum(1).allclose(torch.zeros(9).index_add_(0, pair, values["gap"]))
+    both = [torch.arange(9)], [torch.arange(9) // 2], [5]
+    for one, other in ((kept, counted), (kept.grouped(*both), counted.grouped(*both))):
+        assert all(map(torch.equal, columns(one), columns(other)))
+        assert all(map(torch.equal, one.means().values(), other.means().values()))
+        assert torch.equal(one.quantiles((0.5,))["gap"], other.quantiles((0.5,))["gap"])
 
 
 def columns(boundaries):

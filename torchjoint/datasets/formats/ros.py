@@ -24,6 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -158,6 +159,11 @@ def _frame(message: Any) -> str:
     return str(message.header.frame_id).lstrip("/")
 
 
+def _is_same_camera(one: Any, other: Any) -> bool:
+    pairs = zip(matrices_of(one), matrices_of(other), strict=True)
+    return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+
+
 def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[Frame]:
     colors, total = bag.stamps(topics.color), bag.counts[topics.color]
     why = "have the time of another in their header,"
@@ -170,10 +176,10 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
         raise ValueError(f"{bag.path}: none of {len(colors)} images has a pose within {limit} s (tf or odometry)")
     tell_left_out(str(bag.path), len(colors) - len(posed), len(colors), f"have no pose within {limit} s,")
     rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
-    infos, size = list(bag.messages(topics.info)), []
-    info, changed = infos[0], sum(matrices_of(one) != matrices_of(infos[0]) for one in infos)
-    if changed:
-        told = f"{changed} of {len(infos)} messages have another camera than the first, which is taken for all images"
+    info, size = bag.first(topics.info), []
+    changed = [not _is_same_camera(one, info) for one in bag.messages(topics.info)]
+    if any(changed):
+        told = f"{sum(changed)} of {len(changed)} messages have another camera than the first, taken for all images"
         warnings.warn(f"{bag.path}: {topics.info}: {told}", stacklevel=3)
     if has_region(info):
         _, *size = color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape
