@@ -4,9 +4,8 @@ size.
     python lab/studies/limits.py [--data FOLDER] [--kinds room kitchen ycb] [--scenes 4] [--runs 4] [--write]
 
 Superpoints: each superpoint belongs to the thing that has most of its points, so no merging is better. Tree: the best
-    segment of
-any of LEVELS levels, another one for each thing. Default: the best segment of the default level. The points of each run
-are moved by 0.1 mm. The scenes are those of `torchjoint-lab robustness`; no model was trained on them.
+segment of any of LEVELS levels, another one for each thing. Default: the best segment of the default level. The points
+of each run are moved by 0.1 mm. The scenes are those of `torchjoint-lab robustness`; no model was trained on them.
 """
 
 from __future__ import annotations

@@ -100,12 +100,11 @@ EXPONENT = 3.0
 def close_contours(boundaries: Tensor, smoothing: float = SMOOTHING, exponent: float = EXPONENT) -> Tensor:
     """Close the contours of boundary maps, because a segmentation would leak through a gap of one pixel.
 
-    Each map becomes an ultrametric contour map (:func:`torchjoint.ops.ultrametric_contours`): a piece of contour
-        has
+    Each map becomes an ultrametric contour map (:func:`torchjoint.ops.ultrametric_contours`): a piece of contour has
     the mean boundary strength between the two regions that it separates. Contours lie between pixels. The pixels on
-    both sides get the contour's strength, to the power of ``exponent``; all other pixels get 0. This suits eq. 2,
-    w_b min(b_i, b_j): an edge across a contour has the contour's weight. An edge from a contour pixel into its own
-    region has weight 0 and joins the pixel to that region. So no broad band of strong boundary becomes its own segment.
+    both sides get the contour's strength, to the power of ``exponent``; all other pixels get 0. This suits eq. 2, w_b
+    min(b_i, b_j): an edge across a contour has the contour's weight. An edge from a contour pixel into its own region
+    has weight 0 and joins the pixel to that region. So no broad band of strong boundary becomes its own segment.
 
     Args:
         boundaries: [B, H, W] float32 in [0, 1].

@@ -42,7 +42,7 @@ def pixel_weights(image: Tensor, boundary: Tensor, config: ImageGraphConfig) -> 
     weights = []
     for (color_i, color_j), (b_i, b_j) in zip(_neighbor_views(colors), _neighbor_views(boundary), strict=True):
         red, green, blue = (color_i - color_j).square_()
-        # The root is taken in float64: torch's float32 root differs in the last bit from processor to processor.
+        # The root is taken in float64: torch's float32 root may be wrong in the last bit.
         distance = red.add_(green).add_(blue).double().sqrt_().float()
         weights.append(distance.mul_(config.color_weight).add_(torch.minimum(b_i, b_j).mul_(config.boundary_weight)))
     return torch.cat([weight.reshape(-1) for weight in weights])
