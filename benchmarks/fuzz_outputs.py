@@ -19,7 +19,7 @@ import numpy as np
 from fuzz_files import FindingError
 
 from torchjoint.results.output_folder import COMPLETE, PLACING, output_folder
-from torchjoint.runtime.outputs import SOURCE, LostError, Output, write_sealed
+from torchjoint.runtime.outputs import SOURCE, WRITTEN, LostError, Output, write_sealed
 
 #: The files of a result, and of a run that makes it.
 NAMES = ("run.yaml", "points.ply", "images/0.png", "images/1.png")
@@ -41,7 +41,8 @@ def write(folder: Path, text: str, names: tuple[str, ...] = NAMES) -> None:
 
 
 def texts(folder: Path) -> dict[Path, str]:
-    return {path: path.read_text() for path in folder.rglob("*") if path.is_file()}
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != WRITTEN]
+    return {path: path.read_text() for path in files}
 
 
 def run(out: Path, kind: str, text: str, overwrite: bool, meanwhile: Meanwhile) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 CLEAR = (ValueError, FileNotFoundError, TypeError)
 
 #: What is told of data that are read in part.
-TOLD = ".*(not read|not used|left out|taken from the nearest points|read as a cloud alone)"
+TOLD = ".*(not (applied|read|used)|left out|taken (for all images|from the nearest points)|read as a cloud alone)"
 
 #: Numbers in text that no tensor, or no float, has.
 HUGE = (b"999999999999", b"%d" % 2**63, b"%d" % 2**64, b"-%d" % (2**63 + 1), b"1" + bytes(400).replace(b"\0", b"0"))

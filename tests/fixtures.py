@@ -43,7 +43,7 @@ def small_overviews() -> Iterator[None]:
         yield
 
 
-def _small_overview(scene: Scene, result: Segmentation) -> Any:
+def _small_overview(scene: Scene, result: Segmentation, **_: Any) -> Any:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(1, 1))

@@ -373,6 +373,13 @@ class TestEdges:
         result = tj.JointSegmenter(config)(tj.Scene(points, normals=flat))
         assert result.num_point_segments < 10  # all is flat: the segments are the graph's components
 
+    def test_normals_that_are_all_equal_count_as_none(self, synthetic):
+        """Some programs write (0, 0, 1) for a cloud without normals."""
+        points = synthetic.scene.points
+        flat = torch.tensor([0.0, 0.0, 1.0]).expand(len(points), -1)
+        assert torch.equal(*(tj.JointSegmenter()(tj.Scene(points, normals=n)).points for n in (None, flat)))
+        assert torch.equal(*(tj.superpoints(points, normals=n) for n in (None, flat)))
+
     def test_cameras_decide_the_signs_of_given_normals(self, synthetic):
         points = synthetic.scene.points
         normals = estimate_normals(points, nearest_neighbors(points, 30).indices)
@@ -461,7 +468,7 @@ class TestPoseCheck:
 
         messages = self.warnings_of(self.changed(synthetic, turn))
         assert len(messages) == 1
-        what = "to be camera-to-world in OpenGL axes" if is_inverse else "to be in OpenGL axes"
+        what = "inverted, and turned in y and z: " if is_inverse else "turned in y and z: OpenGL axes where OpenCV"
         assert f"the poses look {what}" in messages[0]
 
     def test_a_shifted_pose(self, synthetic):

@@ -32,7 +32,7 @@ def played(frames, **options) -> tj.LiveSegmenter:
 
 def test_a_result_is_that_of_the_offline_method(frames):
     live = played(frames, step=0).result()
-    points, colors = fuse_cloud(frames, VOXEL)
+    points, colors, _ = fuse_cloud(frames, VOXEL)
     assert torch.equal(live.cloud.points, points)
     assert torch.equal(live.cloud.colors, colors)
     offline = tj.JointSegmenter(tj.Config.from_dict({"point_segments": {"method": "learned"}}))(

@@ -44,7 +44,7 @@ PUBLIC = {
         achievable_segmentation_accuracy average_precision_objects average_precision_parts boundary_recall
         mean_best_iou objects_and_parts scannet_average_precision segmentation_covering undersegmentation_error
     """,
-    "torchjoint.datasets": "list_scenes load_cloud load_scene",
+    "torchjoint.datasets": "fuse_cloud list_scenes load_cloud load_scene",
     "torchjoint.synthetic": "SyntheticScene make_scene",
     "torchjoint.transforms": "AddSuperpoints transfer_labels",
 }

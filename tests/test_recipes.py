@@ -53,6 +53,13 @@ def batched(superpoints):
     return torch.cat(joined).long()
 
 
+def test_pooling():
+    random = torch.Generator().manual_seed(0)
+    labels, features = torch.tensor([0, 2, 1, 0, 2, 2]), torch.rand(6, 4, generator=random)
+    found = execute("pooling", labels=labels, features=features, torch=torch)["of_points"]
+    assert torch.allclose(found, torch.stack([features[labels == label].mean(0) for label in labels]))
+
+
 def test_superpoint_files(labels):
     execute("superpoint files")
     # OneFormer3D reads bytes as int64, one for each row of points/SCENE.bin.
@@ -102,9 +109,11 @@ def bumpy(count, seed):
 def test_training_with_superpoints_on_disk(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     Path("clouds").mkdir()
-    for number in range(3):
+    for number in range(2):
         points = bumpy(300 + number, number)
         write_cloud(Path(f"clouds/{number}.ply"), points, points.clamp(0, 1))
+    np.save("clouds/0.npy", bumpy(302, 2).numpy())
+    Path("clouds/README.md").write_text("no cloud")
     found = execute("training", __name__="training")
     for _ in range(2):  # the second time from the disk
         sizes = []
@@ -113,9 +122,9 @@ def test_training_with_superpoints_on_disk(monkeypatch, tmp_path):
             sizes += batch["ptr"].diff().tolist()
         assert sorted(sizes) == [300, 301, 302]
         assert len(list(Path("kept").iterdir())) == 3
-    samples = [found["loader"].dataset[number] for number in (0, 2)]
+    samples = [found["loader"].dataset[number] for number in (1, 2)]
     batch = found["collate"](samples)
-    read = [tj.datasets.load_cloud(f"clouds/{number}.ply") for number in (0, 2)]
+    read = [tj.datasets.load_cloud(f"clouds/{number}.ply") for number in (0, 1)]
     together = tj.superpoints(batch["points"], torch.cat([one.colors for one in read]), ptr=batch["ptr"])
     assert torch.equal(batch["superpoints"], together)
 

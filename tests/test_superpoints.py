@@ -315,7 +315,7 @@ ERRORS = [
     ({"points": POINTS[:0]}, ValueError, "points: expected at least one point, got an empty cloud"),
     ({"points": NAN}, ValueError, "points: 30 of 30 points are NaN or infinite"),
     ({"points": POINTS / 0}, ValueError, "points: 30 of 30 points are NaN"),
-    ({"points": POINTS + 1e13}, ValueError, "points: expected coordinates up to 1e+12 m, got 1e+13 m"),
+    ({"points": POINTS + 1e13}, ValueError, "points: expected coordinates up to 1e+12, got 1e+13"),
     ({"colors": POINTS[:5]}, ValueError, "colors: expected shape [30, 3], got [5, 3]"),
     ({"colors": POINTS - 1}, ValueError, "colors: expected values in [0, 1] (or uint8)"),
     ({"color_weight": 1.0}, ValueError, "colors: color_weight > 0 needs the colours of the points, got None"),

@@ -29,36 +29,11 @@ if TYPE_CHECKING:
 __version__ = version("torchjoint")
 
 __all__ = [
-    "BatchReport",
-    "Cloud",
-    "Config",
-    "Frame",
-    "Hierarchy",
-    "JointSegmenter",
-    "LabelImages",
-    "LiveResult",
-    "LiveSegmenter",
-    "Masks",
-    "PoseWarning",
-    "RecordingOptions",
-    "Result",
-    "Scene",
-    "Segmentation",
-    "Superpoints",
-    "SuperpointsConfig",
-    "SyntheticScene",
-    "Truth",
-    "batch",
-    "datasets",
-    "load_result",
-    "load_scene",
-    "masks",
-    "metrics",
-    "ops",
-    "superpoints",
-    "synthetic",
-    "transforms",
-]
+    "BatchReport", "Cloud", "Config", "Frame", "Hierarchy", "JointSegmenter", "LabelImages", "LiveResult",
+    "LiveSegmenter", "Masks", "PoseWarning", "RecordingOptions", "Result", "Scene", "Segmentation", "Superpoints",
+    "SuperpointsConfig", "SyntheticScene", "Truth", "batch", "datasets", "load_result", "load_scene", "masks",
+    "metrics", "ops", "superpoints", "synthetic", "transforms",
+]  # fmt: skip
 
 #: Where each public name is; it is imported when it is first used, so that ``import torchjoint`` is quick.
 _HOMES = {

@@ -17,6 +17,7 @@ import logging
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextvars import copy_context
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -32,7 +33,7 @@ from torchjoint.config import Config, evidence_differences
 from torchjoint.images.segmenter import ImageSegmenter, brightened
 from torchjoint.labels.label import label
 from torchjoint.runtime.memory import as_bytes
-from torchjoint.runtime.messages import Stopwatch
+from torchjoint.runtime.messages import Stopwatch, advance
 from torchjoint.runtime.threads import ahead, on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene, Segmentation
 from torchjoint.scene.checks import kept_points
@@ -292,7 +293,8 @@ class JointSegmenter(nn.Module):
             points: [N, 3] metres, world frame.
             colors: optional [N, 3] RGB in [0, 1]. Method learned uses them; if they are absent or all equal, it uses
                 the colours of the frames. Method paper uses them if its color_weight is > 0.
-            normals: optional [N, 3], estimated if absent. Normals are oriented to the cameras that see their points.
+            normals: optional [N, 3], estimated if absent or, with method learned, all equal. They are oriented to the
+                cameras that see their points.
 
         Raises:
             ValueError, TypeError: naming the argument, what was expected and what came.
@@ -376,9 +378,12 @@ class JointSegmenter(nn.Module):
         with one_thread_per_operation():
             clock = Stopwatch()  # of this result: others may follow
             clock.add(self.stopwatch.seconds)
-            with clock("point segments"), tqdm(total=1, desc="points", unit="step", disable=not progress) as bar:
-                tree = method.segment(graph, evidence, config)
-                bar.update()
+            shown = "{l_bar}{bar}| {elapsed}"
+            with clock("point segments"), tqdm(total=1, desc="points", bar_format=shown, disable=not progress) as bar:
+                context = copy_context()
+                context.run(advance.set, bar.update)
+                tree = context.run(method.segment, graph, evidence, config)
+                bar.update(1 - bar.n)
             found = label(tree, graph, evidence, config, clock, images=images, progress=progress)
         return found if self.granularity == 0.5 else found.at(self.granularity)
 

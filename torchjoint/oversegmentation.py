@@ -74,7 +74,7 @@ def superpoints(
         points: [N, 3] metres, finite, N >= 1.
         colors: optional [N, 3] RGB in [0, 1], or uint8; required if you pass a `color_weight` > 0. The `color_weight`
             of a preset is ignored for clouds without colours.
-        normals: optional [N, 3], oriented, any length except 0; fitted to the points if absent.
+        normals: optional [N, 3], oriented, any length except 0; fitted to the points if absent or all equal.
         edges: optional [2, E] integers, a graph that replaces the graph of nearest neighbours.
         faces: optional [F, 3] integers, triangles of a mesh whose vertices are the points. Their edges are the graph;
             if `normals` is absent, the triangles also give the normals. With preset "segmentator" and no normals the
@@ -206,7 +206,7 @@ class Superpoints(nn.Module):
 
 def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     """The labels [N] int64 of one cloud."""
-    cloud, of_point = _local(given)
+    cloud, of_point = _local(replace(given, normals=given.without_constants().normals))
     edges, normals, oriented, spacing = _graph(cloud, config)
     if len(spacing):
         warn_of_rounding(given.points, spacing)

@@ -65,7 +65,7 @@ def test_evidence_without_images_has_oriented_normals(scene_of, prepared):
     values = boundary_examples.boundary_features(evidence)
     columns = boundary_examples.feature_columns(boundary_examples.IMAGE_FEATURES)
     assert values[:, columns].isnan().all()
-    assert (evidence.boundaries.means()["unoriented"] < 1).any()
+    assert (evidence.boundaries.averages()["unoriented"] < 1).any()
     seen = prepared[0].evidence
     assert not boundary_examples.boundary_features(seen)[:, columns].isnan().all()
 

@@ -110,7 +110,7 @@ class TestCommands:
         shown = []
         monkeypatch.setattr(
             "torchjoint.results.page.write_page",
-            lambda path, result, up, edits: shown.append((result.points, edits.granularity)) or path.write_text(""),
+            lambda path, result, edits: shown.append((result.points, edits.granularity)) or path.write_text(""),
         )
         result = read_result(out)
         run("show", out, "--static", tmp_path / "page.html")

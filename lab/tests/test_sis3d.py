@@ -135,6 +135,9 @@ def test_the_mesh_s_own_annotation_comes_first(root, synthetic):
     assert torch.equal(truth, torch.tensor([number or -1 for number in numbers]))
     write_point_truth(root / "scans" / SCAN, SCAN, synthetic.point_labels)
     assert torch.equal(load_scene(root).truth.points, synthetic.point_labels)
+    cloud = root / "scans" / SCAN / f"{SCAN}_vh_clean_2.ply"
+    cloud.rename(cloud.with_suffix(".PLY"))  # which is found, too
+    assert torch.equal(load_scene(root).truth.points, synthetic.point_labels)
     (root / "gt_insts" / f"{SCAN}.txt").write_text("1\n2\n")
     (root / "scans" / SCAN / f"{SCAN}.aggregation.json").unlink()
     with pytest.raises(

@@ -82,7 +82,7 @@ def test_an_output_is_no_input(run, result, cloud, tmp_path, monkeypatch, argume
     [
         (("superpoints", "cloud.ply", "--no-picture", "-o"), "out.ply"),
         (("superpoints", "cloud.ply", "--no-picture", "-o"), "out.npy"),
-        (("superpoints", "cloud.ply", "-o", "other.npz"), "other.png"),
+        (("superpoints", "cloud.ply", "-o", "other.npz"), "other.npz.png"),
         (("label", "result", "cloud.ply", "-o"), "out.ply"),
         (("label", "result", "cloud.ply", "-o"), "parts/"),
         (("export", "result", "--format", "npz", "-o"), "out.npz"),
@@ -103,7 +103,7 @@ def test_what_comes_meanwhile_stays(run, result, cloud, tmp_path, monkeypatch, a
         put(new, place, before, aside)
 
     monkeypatch.setattr(outputs, "put", late)
-    more = ([] if out == "other.png" else [out]) + ["--overwrite"] * overwrite
+    more = ([] if out == "other.npz.png" else [out]) + ["--overwrite"] * overwrite
     with pytest.raises(SystemExit, match="was made or changed while this run worked, and is kept; move it"):
         run(*arguments, *more)
     assert mine.read_text() == "by hand"
@@ -118,6 +118,14 @@ def test_a_link_to_a_folder_stays(run, result, cloud, tmp_path, monkeypatch, arg
     with pytest.raises(SystemExit, match=r"link: expected no link, and a folder; choose another name"):
         run(*arguments, "-o", "link", "--overwrite")
     assert (tmp_path / "link").is_symlink()
+
+
+@pytest.mark.parametrize("form", ["csv", "ply"])
+def test_a_hyphen_is_no_file(run, result, tmp_path, monkeypatch, form):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="-o: expected the name of a file or folder, got -"):
+        run("export", result, "--format", form, "-o", "-")
+    assert not (tmp_path / "-").exists()
 
 
 def test_boxes_name_the_cloud_beside_them(run, result, tmp_path):

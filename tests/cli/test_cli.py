@@ -1,6 +1,7 @@
 """The command line, end to end: files that open in other people's tools, nothing overwritten or half written."""
 
 import errno
+import json
 import os
 import shutil
 from concurrent.futures.process import BrokenProcessPool
@@ -119,8 +120,10 @@ def test_overwrite(recording, run, tmp_path):
     with pytest.raises(SystemExit, match=r"thesis\.tex: is of no result of torchjoint; move or delete it"):
         run("segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
     os.rename(folder / "thesis.tex", folder / "points.ply")
-    run("segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, *SMALL)
+    run("segment", recording, "-o", folder, "--overwrite", "--max-frames", 2, "--up", 0, 0, -2, *SMALL)
     assert (folder / "points.ply").read_bytes() != b"precious"
+    assert tj.load_result(folder).scene.up.tolist() == json.loads((folder / "segments.json").read_text())["up"]
+    assert tj.load_result(folder).scene.up.tolist() == [0, 0, -1]
     assert len(list((folder / "images").iterdir())) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["twice"]
 
@@ -173,6 +176,7 @@ def test_a_fused_cloud_is_kept_beside_the_output(synthetic, run, tmp_path):
         (["--set", "propagation.wieght=1"], r"torchjoint: error: propagation\.wieght: unknown parameter"),
         (["--preset", "nope"], r"torchjoint: error: preset: expected one of default, paper"),
         (["--preset", "nope.yaml"], r"torchjoint: error: .*nope\.yaml"),
+        (["--up", 0, 0, 0], r"torchjoint: error: --up: expected a direction, got zeros"),
         (["--max-frames", "-1"], r"torchjoint: error: --max-frames: expected >= 0, got -1"),
     ],
 )
@@ -269,6 +273,14 @@ def test_poses_that_look_wrong_end_a_run(scene_of, run, tmp_path):
     assert (tmp_path / "out" / "points.npz").is_file()
 
 
+def test_intrinsics_of_another_size_are_named_in_the_error(scene_of, run, tmp_path):
+    folder = write_folder(tmp_path / "recording", scene_of(3))
+    file = folder / "camera-intrinsics.txt"
+    np.savetxt(file, np.diag([2, 2, 1]) @ np.loadtxt(file))
+    with pytest.raises(SystemExit, match=r"or units\?; the principal point .* another image size\? .*--ignore-poses"):
+        run("segment", folder, "-o", tmp_path / "out", *SMALL)
+
+
 @pytest.mark.slow
 def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
     """After making room the run goes on where it was, also at the default interval, with the same result."""
@@ -278,7 +290,7 @@ def test_a_full_disk_costs_nothing(recording, out, run, tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("torchjoint.recordings.segment.write_result", full)
-    with pytest.raises(SystemExit, match="error: the disk is full; make room and start again"):
+    with pytest.raises(SystemExit, match=r"error: the disk is full \(.*\); make room and start again"):
         run("segment", recording, "-o", again, *SMALL, "refinement.color_weight=90")
     monkeypatch.undo()
     monkeypatch.setattr("torchjoint.results.folder.overview", overview)

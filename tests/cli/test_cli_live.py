@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import sys
 
+import numpy as np
 import pytest
 import samples
 import torch
@@ -24,8 +26,6 @@ def test_the_last_result_is_written(recording, tmp_path, run, capsys):
         recording,
         "-o",
         tmp_path / "out",
-        "--rate",
-        "None",
         "--voxel-size",
         "0.05",
         "--step",
@@ -48,7 +48,7 @@ def test_the_last_result_is_written(recording, tmp_path, run, capsys):
 
 def test_nothing_is_fused_before_it_plays(recording, tmp_path, run, monkeypatch):
     monkeypatch.setattr("torchjoint.datasets.recording.fuse_or_recall", lambda *_: pytest.fail("fused while loading"))
-    run("live", recording, "-o", tmp_path / "out", "--rate", "None", "--voxel-size", "0.05")
+    run("live", recording, "-o", tmp_path / "out", "--voxel-size", "0.05")
     assert len(tj.load_result(tmp_path / "out").scene.points) > 1000
 
 
@@ -58,7 +58,16 @@ def test_a_recording_that_changes_while_it_plays(recording, tmp_path, run, monke
     first, *_, last = sorted(changing.glob("*.color.png"))
     monkeypatch.setattr(tj.LiveSegmenter, "update", lambda *given: (shutil.copy(last, first), update(*given)))
     with pytest.warns(UserWarning, match="recording: changed while it was segmented; the result may be of both states"):
-        run("live", changing, "-o", tmp_path / "out", "--rate", "None", "--voxel-size", "0.05")
+        run("live", changing, "-o", tmp_path / "out", "--voxel-size", "0.05")
+
+
+def test_wrong_poses_are_told_before_it_plays(recording, tmp_path, run, monkeypatch):
+    wrong = shutil.copytree(recording, tmp_path / "recording")
+    for file in wrong.glob("*.pose.txt"):
+        np.savetxt(file, np.linalg.inv(np.loadtxt(file)))
+    monkeypatch.setattr("torchjoint.cli.live.play", lambda *_: sys.exit("it plays"))
+    with pytest.warns(tj.PoseWarning, match="recording: the poses look inverted"), pytest.raises(SystemExit):
+        run("live", wrong, "-o", tmp_path / "out")
 
 
 def test_a_cloud_alone_is_no_recording(tmp_path, run):
@@ -83,7 +92,7 @@ def test_wrong_options_are_named(recording, tmp_path, run, option, value, messag
 def test_a_recording_without_depth_is_named(tmp_path, scene_of, run):
     folder = write_folder(tmp_path / "recording", scene_of(2), depth=False)
     with pytest.raises(SystemExit, match="depth: the frames so far give no surface"):
-        run("live", folder, "-o", tmp_path / "out", "--rate", "None")
+        run("live", folder, "-o", tmp_path / "out")
 
 
 def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys):
@@ -104,7 +113,7 @@ def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys)
 
     monkeypatch.setattr("torchjoint.cli.live.growing_view", lambda now: Page() if now else None)
     monkeypatch.setattr("torchjoint.cli.live.serve_until_interrupted", served.append)
-    options = ("--rate", "None", "--voxel-size", "0.05", "--show")
+    options = ("--voxel-size", "0.05", "--show")
     run("live", recording, "-o", tmp_path / "out", *options)
     names = [frame.name for frame in tj.load_scene(recording).frames]
     assert [one for one in shown if isinstance(one, str)] == names
@@ -122,7 +131,7 @@ def test_a_recording_of_rerun_is_written(recording, tmp_path, run):
     pytest.importorskip("rerun", reason="recordings of Rerun need rerun: pip install 'torchjoint[rerun]'")
     from rerun.chunk import RrdReader
 
-    options = ("--rate", "None", "--voxel-size", "0.05", "--every", "2", "--rerun", tmp_path / "a.rrd")
+    options = ("--voxel-size", "0.05", "--every", "2", "--rerun", tmp_path / "a.rrd")
     run("live", recording, "-o", tmp_path / "out", *options)
     numbers = {}
     for chunk in RrdReader(tmp_path / "a.rrd").stream():
@@ -145,7 +154,7 @@ def test_no_file_of_rerun_is_overwritten(recording, tmp_path, run):
 def test_a_bag_is_played(tmp_path, run, capsys):
     pytest.importorskip("rosbags", reason="ROS recordings need rosbags: pip install 'torchjoint[ros]'")
     bag = samples.write("ros", tmp_path / "ros")
-    run("live", bag, "-o", tmp_path / "out", "--rate", "None", "--topics", "color=/camera/image_raw")
+    run("live", bag, "-o", tmp_path / "out", "--topics", "color=/camera/image_raw")
     assert "2 frames, the slowest in" in capsys.readouterr().out
     names = [frame.name for frame in tj.load_scene(bag).frames]
     assert list(tj.load_result(tmp_path / "out").names) == names
@@ -163,5 +172,5 @@ def test_a_file_of_rerun_that_comes_meanwhile_stays(recording, tmp_path, run, mo
 
     monkeypatch.setattr(outputs, "put", late)
     with pytest.raises(SystemExit, match=r"log\.rrd: was made or changed while this run worked"):
-        run("live", recording, "-o", tmp_path / "out", "--rate", "None", "--voxel-size", "0.1", "--rerun", file)
+        run("live", recording, "-o", tmp_path / "out", "--voxel-size", "0.1", "--rerun", file)
     assert file.read_text() == "by hand"

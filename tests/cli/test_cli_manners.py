@@ -13,6 +13,7 @@ import torch
 from folder_files import write_folder
 
 import torchjoint as tj
+from torchjoint.cli.arguments import output_file
 from torchjoint.cli.main import COMMANDS
 from torchjoint.config import presets
 from torchjoint.datasets.formats import FORMATS
@@ -66,6 +67,15 @@ def test_closed_streams(tmp_path):
     assert (tmp_path / "out" / "a" / "points.ply").is_file()
 
 
+def test_a_folder_that_is_gone_is_one_line(run, tmp_path, monkeypatch):
+    """Torch aborted the program, because it looked for its library there."""
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    with pytest.raises(SystemExit, match="error: the current folder was deleted; change to another one"):
+        run("segment", tmp_path / "a.ply", "-o", tmp_path / "out")
+
+
 def test_a_wrong_value_is_one_error(run, capsys):
     with pytest.raises(SystemExit):
         run("segment", "a", "--max-frames", "x")
@@ -113,10 +123,10 @@ def test_a_closed_pipe_is_no_error():
 def test_an_interrupt_while_fusing_says_what_is_lost(run, scene_of, tmp_path, monkeypatch, capsys):
     recording = write_folder(tmp_path / "recording", scene_of(2), cloud=False)
 
-    def interrupt(path):
+    def interrupt(path, unit):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("torchjoint.datasets.formats.folder.read_depth", interrupt)
+    monkeypatch.setattr("torchjoint.datasets.recording.read_depth", interrupt)
     with pytest.raises(SystemExit) as end:
         run("segment", recording, "-o", tmp_path / "out")
     assert end.value.code == 130
@@ -213,6 +223,8 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     message = rf"{tmp_path}/out: the folder {tmp_path} cannot be written"
     with pytest.raises(PermissionError, match=message), output_folder(tmp_path / "out", "a test"):
         pass
+    with pytest.raises(PermissionError, match=message):  # before the work of a command
+        output_file(tmp_path / "out", False, ())
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".txt", ".xyz"])
@@ -251,14 +263,12 @@ def test_depth_in_another_unit(scene_of, scale, message):
         fuse_cloud(frames)
 
 
-def test_bash_completes_commands_and_options(run, capsys, tmp_path):
-    run("completion", "bash")
-    (tmp_path / "script").write_text(capsys.readouterr().out)
-    ask = """source ./script
-    function=$(complete -p torchjoint | sed 's/.*-F \\([^ ]*\\).*/\\1/')
-    for words in "torchjoint seg" "torchjoint segment x --ma"; do
-        COMP_WORDS=($words); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMP_LINE=$words; COMP_POINT=${#words}
-        $function; echo ${COMPREPLY[@]}
-    done"""
-    told = subprocess.run(["bash", "-c", ask], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert told.split("\n")[:2] == ["segment", "--masks --max-frames"]
+def test_equal_warnings_are_printed_once():
+    code = f"""{PROGRAM}
+import warnings
+warnings.simplefilter("always")
+for text in "aba":
+    warnings.warn(text)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == "torchjoint: warning: a\ntorchjoint: warning: b\n"

@@ -7,7 +7,8 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.datasets.files.clouds import read_cloud_file
-from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.datasets.files.ply import read_vertex_property, write_cloud
+from torchjoint.viewer.truth import read_labelled_cloud
 
 POINTS = torch.rand(400, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1.0, 0.01])
 COLORS = torch.rand(400, 3, generator=torch.Generator().manual_seed(1))
@@ -45,8 +46,8 @@ def test_what_it_writes(tmp_path, run, capsys):
     run("superpoints", cloud, "-o", tmp_path / "a.ply", "--set", "scale=0.3", "min_size=5")
     expected = tj.superpoints(POINTS, COLORS, scale=0.3, min_size=5)
     assert f"400 points in {int(expected.max()) + 1} superpoints" in capsys.readouterr().out
-    assert t.io.read_point_cloud(str(tmp_path / "a.ply")).point.label.numpy().ravel().tolist() == expected.tolist()
-    assert np.array(Image.open(tmp_path / "a.png")).shape[1] > 1000
+    assert t.io.read_point_cloud(str(tmp_path / "a.ply")).point.superpoint.numpy().ravel().tolist() == expected.tolist()
+    assert np.array(Image.open(tmp_path / "a.ply.png")).shape[1] > 1000
     run("superpoints", cloud, "-o", tmp_path / "b.npy", "--no-picture", "--preset", "scan")
     assert np.load(tmp_path / "b.npy").tolist() == tj.superpoints(POINTS, COLORS, preset="scan").tolist()
     run("superpoints", cloud, "-o", tmp_path / "c.npz", "--no-picture", "--viewpoint", 0, 0, 5)
@@ -54,7 +55,7 @@ def test_what_it_writes(tmp_path, run, capsys):
         np.load(tmp_path / "c.npz")["labels"].tolist()
         == tj.superpoints(POINTS, COLORS, viewpoint=torch.tensor([0.0, 0, 5])).tolist()
     )
-    assert {file.name for file in tmp_path.iterdir()} == {"cloud.npz", "a.ply", "a.png", "b.npy", "c.npz"}
+    assert {file.name for file in tmp_path.iterdir()} == {"cloud.npz", "a.ply", "a.ply.png", "b.npy", "c.npz"}
 
 
 @pytest.mark.filterwarnings("ignore:.*are NaN or infinite; they are left out")
@@ -71,7 +72,8 @@ def test_points_that_are_nan_or_infinite(tmp_path, run, suffix):
     assert labels[valid].tolist() == tj.superpoints(read_cloud_file(cloud, None, "drop").points, colors).tolist()
     assert (labels[~valid] == -1).all()
     run("superpoints", cloud, "-o", tmp_path / "b.ply", "--no-picture", "--drop-invalid")
-    assert len(read_cloud_file(tmp_path / "b.ply").points) == 355
+    assert len(read_cloud_file(tmp_path / "b.ply", None, "drop").points) == 355
+    assert torch.equal(read_labelled_cloud(tmp_path / "b.ply").points, labels[valid])
     assert len(tj.load_scene(cloud, drop_invalid=True).points) == 355
 
 
@@ -94,6 +96,67 @@ def test_columns_by_letters(tmp_path, run, suffix):
             read_cloud_file(cloud, wrong)
     with pytest.raises(ValueError, match=r"for columns 'xyz'"):
         read_cloud_file(write(tmp_path / "b.ply"), "xyz")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_big_endian"])
+def test_a_ply_keeps_all_that_it_has(tmp_path, run, encoding):
+    """The source's bytes stay, and get a column; a second time is an error before the work."""
+    columns = [("x", ">f4"), ("y", ">f4"), ("z", ">f4"), ("alpha", ">u1"), ("intensity", ">f8")]
+    rows = np.zeros(400, columns)
+    for axis in range(3):
+        rows["xyz"[axis]] = POINTS[:, axis]
+    rows["alpha"], rows["intensity"] = np.arange(400) % 256, np.arange(400) / 8
+    kinds = ["float"] * 3 + ["uchar", "double"]
+    lines = ["ply", f"format {encoding} 1.0", "comment mine", "element vertex 400"]
+    lines += [f"property {kind} {name}" for kind, (name, _) in zip(kinds, columns, strict=True)]
+    head = "\n".join(lines).encode()
+    body = b"".join(b"%s\n" % " ".join(map(str, row)).encode() for row in rows.tolist())
+    (tmp_path / "a.ply").write_bytes(head + b"\nend_header\n" + (body if encoding == "ascii" else rows.tobytes()))
+    run("superpoints", tmp_path / "a.ply", "-o", tmp_path / "b.ply", "--no-picture")
+    expected, written = tj.superpoints(POINTS).numpy(), (tmp_path / "b.ply").read_bytes()
+    start = head + b"\nproperty int superpoint\nend_header\n"
+    assert written.startswith(start)
+    if encoding == "ascii":
+        assert written[len(start) :] == b"".join(
+            b"%s %d\n" % (line, label) for line, label in zip(body.splitlines(), expected.tolist(), strict=True)
+        )
+    else:
+        found = np.frombuffer(written[len(start) :], [*columns, ("superpoint", ">i4")])
+        assert found[[name for name, _ in columns]].tolist() == rows.tolist()
+        assert found["superpoint"].tolist() == expected.tolist()
+    assert torch.equal(read_labelled_cloud(tmp_path / "b.ply").points, torch.from_numpy(expected))
+    with pytest.raises(SystemExit, match=r"b\.ply: element vertex has a property superpoint already; choose another"):
+        run("superpoints", tmp_path / "b.ply", "-o", tmp_path / "c.ply")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
+def test_a_ply_of_any_order_of_elements(tmp_path, run, encoding):
+    """Faces of several lengths, and elements without properties, may stand before the vertices."""
+    faces = [[3, 0, 1, 2], [4, 0, 1, 2, 3]]
+    head = f"ply\nformat {encoding} 1.0\nelement face 2\nproperty list uchar int vertex_indices\nelement empty 3\n"
+    head += (
+        "element vertex 400\nproperty float x\nproperty float y\nproperty float z\nelement old 1\nproperty uchar a\n"
+    )
+    if encoding == "ascii":
+        rows = [*faces, *POINTS.tolist(), [7]]
+        body = [" ".join(map(str, row)).encode() + b"\n" for row in rows]
+    else:
+        body = [bytes(row[:1]) + np.array(row[1:], "<i4").tobytes() for row in faces]
+        body += [row.tobytes() for row in POINTS.numpy()] + [b"\7"]
+    (tmp_path / "a.ply").write_bytes(head.encode() + b"end_header\n" + b"".join(body))
+    run("superpoints", tmp_path / "a.ply", "-o", tmp_path / "b.ply", "--no-picture")
+    before, after = (read_cloud_file(tmp_path / name) for name in ("a.ply", "b.ply"))
+    assert torch.equal(before.points, after.points)
+    assert torch.equal(before.faces, after.faces)
+    found = read_vertex_property(tmp_path / "b.ply", "superpoint")
+    assert found.tolist() == tj.superpoints(POINTS).tolist()
+
+
+def test_the_newest_labels_are_shown(tmp_path, run):
+    write_cloud(tmp_path / "a.ply", POINTS, labels=torch.arange(400))
+    run("superpoints", tmp_path / "a.ply", "-o", tmp_path / "b.ply", "--no-picture")
+    assert torch.equal(read_labelled_cloud(tmp_path / "a.ply").points, torch.arange(400))
+    assert torch.equal(read_labelled_cloud(tmp_path / "b.ply").points, tj.superpoints(POINTS))
 
 
 def test_a_mesh(tmp_path, run):
@@ -127,7 +190,7 @@ def test_a_mesh_keeps_its_triangles(tmp_path, run):
     with pytest.raises(ValueError, match=r"broken\.ply: 2 of 400 points are NaN or infinite"):
         tj.datasets.load_cloud(tmp_path / "broken.ply")
     run("superpoints", tmp_path / "broken.ply", "-o", tmp_path / "b.ply", "--no-picture", "--drop-invalid")
-    for read in (left, tj.datasets.load_cloud(tmp_path / "b.ply")):
+    for read in (left, tj.datasets.load_cloud(tmp_path / "b.ply", drop_invalid=True)):
         assert torch.equal(read.points[read.faces], grid[whole])
     labels = tj.superpoints(left.points, faces=left.faces, preset="segmentator")
     given = tj.superpoints(broken, faces=faces, preset="segmentator", drop_invalid=True)
@@ -136,10 +199,10 @@ def test_a_mesh_keeps_its_triangles(tmp_path, run):
 
 def test_nothing_is_overwritten(tmp_path, run):
     cloud = write(tmp_path / "cloud.npz")
-    (tmp_path / "out.png").write_text("precious")
-    with pytest.raises(SystemExit, match=r"out\.png: exists already; choose another name with -o, or --overwrite"):
+    (tmp_path / "out.ply.png").write_text("precious")
+    with pytest.raises(SystemExit, match=r"out\.ply\.png: exists already; choose another name with -o, or --overwrite"):
         run("superpoints", cloud, "-o", tmp_path / "out.ply")
-    assert {file.name for file in tmp_path.iterdir()} == {"cloud.npz", "out.png"}
+    assert {file.name for file in tmp_path.iterdir()} == {"cloud.npz", "out.ply.png"}
     run("superpoints", cloud, "-o", tmp_path / "out.ply", "--overwrite")
     with pytest.raises(SystemExit, match=r"out\.ply: exists already"):
         run("superpoints", cloud, "-o", tmp_path / "out.ply")
@@ -199,9 +262,10 @@ class TestScans:
         assert len(np.load(tmp_path / "a.npy")) == 2000
         assert len(read_cloud_file(tmp_path / "scan.bin", 4).points) == 2500  # who insists gets it
 
-    def test_columns_of_another_format(self, tmp_path):
+    @pytest.mark.parametrize("suffix", [".npy", ".ply"])
+    def test_columns_of_another_format(self, tmp_path, suffix):
         with pytest.raises(ValueError, match="expected at least 3 columns, and a file that ends"):
-            read_cloud_file(write(tmp_path / "cloud.npy"), 5)
+            read_cloud_file(write(tmp_path / f"cloud{suffix}"), 5)
 
     def test_transposed_arrays(self, tmp_path):
         np.save(tmp_path / "cloud.npy", POINTS.T.numpy())

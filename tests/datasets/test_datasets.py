@@ -98,7 +98,7 @@ def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch, n
     monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
     first = tj.load_scene(recording, voxel_size=0.05)
     (kept,) = (tmp_path / "cache" / "clouds").iterdir()
-    monkeypatch.setattr("torchjoint.datasets.fusion._fused", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("torchjoint.datasets.fusion.fuse_cloud", lambda *_, **__: 1 / 0)
     again = tj.load_scene(recording, voxel_size=0.05)
     for scene in (first, again):
         assert scene.points.dtype == fused.points.dtype
@@ -140,7 +140,9 @@ def test_bad_voxel_size(tmp_path, synthetic, voxel_size):
 
 def test_a_missing_pose(folder):
     (folder / "frame-000010.pose.txt").unlink()
-    with pytest.raises(FileNotFoundError, match=r"frame-000010\.pose\.txt: missing; every colour frame needs its pose"):
+    with pytest.raises(
+        FileNotFoundError, match=r"frame-000010\.pose\.txt: missing; expected the pose of a colour frame"
+    ):
         tj.load_scene(folder)
 
 
@@ -148,7 +150,7 @@ def test_a_missing_pose(folder):
     ("text", "message"),
     [
         ("1 2 3", r"frame-000010\.pose\.txt: expected 4x4 = 16 numbers, got 3"),
-        ("a " * 16, r"frame-000010\.pose\.txt: expected numbers"),
+        ("a " * 16, r"frame-000010\.pose\.txt: expected finite numbers"),
         ("nan " * 16, r"frame-000010\.pose\.txt: expected finite values"),
         ("1 " * 16, r"frame-000010\.pose\.txt: expected a rigid transform"),
     ],
@@ -167,7 +169,7 @@ def test_two_images_of_one_frame(folder):
 
 def test_missing_intrinsics(folder):
     (folder / "camera-intrinsics.txt").unlink()
-    with pytest.raises(FileNotFoundError, match=r"camera-intrinsics\.txt: missing; expected a text file with a 3x3"):
+    with pytest.raises(FileNotFoundError, match=r"camera-intrinsics\.txt: missing; expected a 3x3 matrix"):
         tj.load_scene(folder)
 
 
@@ -224,7 +226,10 @@ def test_16_bit_colour(folder):
 
 def test_depth_of_another_size_and_depth_in_8_bits(folder):
     Image.fromarray(np.ones((10, 10), dtype=np.uint16)).save(folder / "frame-000000.depth.png")
-    with pytest.raises(ValueError, match=r"depth of frame 'frame-000000': expected shape \[120, 160\], got \[10, 10\]"):
+    with pytest.raises(
+        ValueError,
+        match=r"image 'frame-000000' of .*: expected depth of .*, got 160 x 120 pixels and depth of \[10, 10\]",
+    ):
         tj.load_scene(folder).frames[0]
     Image.fromarray(np.ones((120, 160), dtype=np.uint8)).save(folder / "frame-000000.depth.png")
     with pytest.raises(ValueError, match=r"depth\.png: expected a 16-bit grey image, got mode L"):
@@ -278,6 +283,10 @@ def test_an_unknown_format_says_what_is_missing(tmp_path):
     (tmp_path / "empty" / "cloud.ply").write_text("x")
     with pytest.raises(ValueError, match=r"it has 1 \.ply\. For a cloud alone, give the file: .*cloud\.ply\. The most"):
         tj.load_scene(tmp_path / "empty")
+    for name in ("a.laz", "b.laz"):
+        (tmp_path / "tum" / name).write_text("x")
+    with pytest.raises(ValueError, match=r"objects of all its tiles, merge them .*`torchjoint label OUT A\.laz -o NEW"):
+        tj.load_scene(tmp_path / "tum")
 
 
 def test_clouds_keep_labels_for_other_tools(tmp_path):
@@ -400,5 +409,5 @@ class TestFingerprint:
 def test_a_pose_without_its_image_is_told(tmp_path, synthetic):
     folder = write_folder(tmp_path / "scene", synthetic)
     (folder / "frame-000010.color.png").unlink()
-    with pytest.warns(UserWarning, match=r"1 of 6 poses have no colour image and are left out: frame-000010"):
+    with pytest.warns(UserWarning, match=r"1 of 6 images have a pose, but are missing, and are left out"):
         assert len(tj.load_scene(folder).frames) == 5

@@ -1,5 +1,8 @@
 """Decoding images: damage is an error."""
 
+from contextlib import nullcontext
+
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -49,3 +52,14 @@ def test_a_jpeg_whose_end_is_lost(tmp_path):
     assert decode_image(whole + bytes(99), "it").size == (64, 64)  # some cameras fill the last sector
     with pytest.raises(ValueError, match="it: not a whole image: its end is lost, there are zeros in its place"):
         decode_image(whole[:-999] + bytes(999), "it")
+
+
+@pytest.mark.parametrize("kind", [".png", ".ppm"])
+@pytest.mark.parametrize("most", [255, 4095, 65535])
+def test_colours_of_few_bits_in_16(tmp_path, kind, most):
+    """Pillow drops the lower 8 bits: the image was black."""
+    colors = np.linspace(0, most, 36).reshape(3, 4, 3).round().astype(np.uint16)
+    cv2.imwrite(str(tmp_path / f"it{kind}"), colors)
+    told = pytest.raises(ValueError, match="not a whole image: expected colours up to 65535, got less than")
+    with nullcontext() if most == 65535 else told:
+        assert decode_image((tmp_path / f"it{kind}").read_bytes(), "it").mode == "RGB"

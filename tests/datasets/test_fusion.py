@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 import torch
 from folder_files import write_folder
+from scipy.spatial.transform import Rotation
 
 import torchjoint as tj
 from torchjoint.datasets.formats.folder import read_frames
 from torchjoint.datasets.fusion import _residual, warn_of_poses
+from torchjoint.scene.frame import PoseDoubt
 
 TURN = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
 READ = {
-    "inverted: expected world_to_camera": torch.linalg.inv,
-    "to be in OpenGL axes": lambda pose: TURN @ pose,
-    "to be camera-to-world in OpenGL axes": lambda pose: torch.linalg.inv(TURN @ pose),
+    "inverted: camera-to-world where world-to-camera is expected, or the reverse?": torch.linalg.inv,
+    "turned in y and z: OpenGL axes where OpenCV axes are expected, or the reverse?": lambda pose: TURN @ pose,
+    "inverted, and turned in y and z: ": lambda pose: torch.linalg.inv(TURN @ pose),
 }
 
 
@@ -31,6 +33,33 @@ def test_the_convention_is_named(scene_of, seed, said):
     frames = scene_of(seed).scene.frames
     with pytest.warns(tj.PoseWarning, match=re.escape(said)):
         warn_of_poses(with_poses(frames, READ[said]))
+
+
+@pytest.mark.parametrize("factor", [100, 1000])
+def test_positions_in_another_unit(scene_of, factor):
+    """Each depth image would fit its own part of the cloud, and no other check finds it."""
+    unit = torch.ones(4, 4, dtype=torch.float64)
+    unit[:3, 3] = factor
+    with pytest.warns(tj.PoseWarning, match="farther apart than their depth images reach: are positions in metres"):
+        warn_of_poses(with_poses(scene_of(0).scene.frames, lambda pose: pose * unit))
+
+
+@pytest.mark.parametrize(("factor", "said"), [(0.2, "too small: millimetres where .* 5000"), (5, "too large: 5000")])
+def test_depth_in_another_unit(scene_of, factor, said):
+    frames = [replace(frame, depth=frame.depth * factor) for frame in scene_of(0).scene.frames]
+    with pytest.warns(tj.PoseWarning, match=f"depth looks 5 times {said}"):
+        warn_of_poses(frames)
+
+
+def test_poses_that_fit_in_no_way(scene_of):
+    def reordered(pose):
+        x, y, z, w = Rotation.from_matrix(torch.linalg.inv(pose)[:3, :3]).as_quat()
+        other = torch.linalg.inv(pose)
+        other[:3, :3] = torch.from_numpy(Rotation.from_quat([w, x, y, z]).as_matrix())
+        return torch.linalg.inv(other)
+
+    with pytest.warns(PoseDoubt, match="differ by .*%.*: wrong poses, order of quaternions, intrinsics or units"):
+        warn_of_poses(with_poses(scene_of(0).scene.frames, reordered))
 
 
 @pytest.mark.parametrize(
@@ -77,5 +106,5 @@ def test_a_run_ends_before_it_fuses(tmp_path, scene_of, run, monkeypatch):
     for file in folder.glob("*.pose.txt"):
         np.savetxt(file, np.linalg.inv(np.loadtxt(file)))
     monkeypatch.setattr("torchjoint.datasets.fusion.Volume", lambda *_: 1 / 0)
-    with pytest.raises(SystemExit, match=r"the poses look inverted.*--ignore-poses"):
+    with pytest.raises(SystemExit, match=r"recording: the poses look inverted: .* or the reverse\? .*--ignore-poses"):
         run("segment", folder, "-o", tmp_path / "out")

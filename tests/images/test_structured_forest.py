@@ -170,7 +170,7 @@ class TestModel:
         """On a few images, which it has seen: far better than gradients. Scores on unseen ones are the model card's."""
         images = bsds_images(shared / "data" / "bsds500", "val")[::33]
         forest, gradient = (
-            evaluate_boundaries(one, images, 19).ods for one in (StructuredForestBoundary(), GradientBoundary())
+            evaluate_boundaries(one, images, 7).ods for one in (StructuredForestBoundary(), GradientBoundary())
         )
         assert forest > gradient + 0.05
 

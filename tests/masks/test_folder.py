@@ -105,6 +105,27 @@ def test_groups_in_a_coco_file_are_left_out(tmp_path):
     assert len(told) == 1
 
 
+def coco_of_squares(path, side, category):
+    """Five squares in each of two images that are said to be of 6 x 8 pixels, and a category 1."""
+    images = [{"id": i, "file_name": f"{name}.jpg", "height": 6, "width": 8} for i, name in enumerate("ab")]
+    square = {"segmentation": [[0, 0, side, 0, side, side]], "category_id": category}
+    annotations = [square | {"image_id": i} for i in range(2) for _ in range(5)]
+    categories = [{"id": 1, "name": "chair"}]
+    path.write_text(json.dumps({"images": images, "annotations": annotations, "categories": categories}))
+    return tj.masks.read_folder(path, scene_of("a", "b"))
+
+
+def test_polygons_of_smaller_images_are_told(tmp_path):
+    with pytest.warns(UserWarning, match=r"a\.json: all polygons lie in a quarter of the width and height"):
+        coco_of_squares(tmp_path / "a.json", 1.5, 1)
+    coco_of_squares(tmp_path / "b.json", 2, 1)  # in silence
+
+
+def test_unknown_categories_are_told(tmp_path):
+    with pytest.warns(UserWarning, match=r"a\.json: no category has the id of some masks, .*: \[7\]"):
+        coco_of_squares(tmp_path / "a.json", 5, 7)
+
+
 def test_a_coco_file_of_cvat(tmp_path):
     """As Datumaro, with which CVAT writes, has written a polygon, a mask of the brush and a rectangle."""
     of_all = {"image_id": 1, "attributes": {"occluded": False}}
@@ -142,6 +163,36 @@ def test_frames_and_masks_without_a_partner_are_reported(tmp_path):
     with pytest.warns(UserWarning, match="have no frame"), pytest.warns(UserWarning, match="are left out: a, c"):
         left = tj.masks.read_folder(tmp_path, scene_of(*"abc"), without="leave out")
     assert [frame.name for frame in left.frames] == ["b"]
+
+
+@pytest.mark.parametrize(
+    ("most", "used", "without"),
+    [(1, "c", 0), (2, "cf", 0), (3, "cdf", 0), (4, "acdf", 1), (9, "abcdefg", 4), (0, "", 0)],
+)
+def test_few_frames_are_those_with_masks(tmp_path, most, used, without):
+    for name in "cdf":
+        write_labels(tmp_path / f"{name}.png")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        masked = tj.masks.read_folder(tmp_path, scene_of(*"abcdefg"), max_frames=most)
+    assert "".join(frame.name for frame in masked.frames) == used
+    assert [f"{without} of {len(used)} frames have none" in str(one.message) for one in told] == [True] * bool(without)
+
+
+def test_frames_that_are_left_out_are_all_counted(tmp_path):
+    write_labels(tmp_path / "c.png")
+    with pytest.warns(UserWarning, match="masks: 4 of 5 frames have none and are left out: a, b, d, e"):
+        masked = tj.masks.read_folder(tmp_path, scene_of(*"abcde"), "leave out", max_frames=3)
+    assert [frame.name for frame in masked.frames] == ["c"]
+    with pytest.raises(ValueError, match="max_frames: expected >= 0, got -1"):
+        tj.masks.read_folder(tmp_path, scene_of("c"), max_frames=-1)
+
+
+def test_a_coco_file_in_a_folder_is_told(tmp_path):
+    (tmp_path / "instances.json").write_text('{"images": [], "annotations": [], "categories": []}')
+    for read in (tj.masks.folder.check_files, lambda folder: tj.masks.read_folder(folder, scene_of("a"))):
+        with pytest.raises(ValueError, match=r"got a COCO data set; give the file itself: .*instances\.json$"):
+            read(tmp_path)
 
 
 def test_what_cannot_be_matched_is_an_error(tmp_path):

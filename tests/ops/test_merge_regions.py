@@ -54,6 +54,27 @@ def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, thre
     assert got.tolist() == merge_regions_reference(edges, cost, size, threshold, min_size).tolist()
 
 
+@few_and_many(
+    200,
+    2000,
+    seed=st.integers(0, 2**32 - 1),
+    num_regions=st.integers(4, 30),
+    levels=st.sampled_from([2, 4, 1000]),
+    threshold=st.sampled_from([0.2, 0.5, 0.75, math.inf]),
+    min_size=st.sampled_from([0, 3]),
+)
+def test_the_twin_with_regions_in_three_blocks(
+    seed: int, num_regions: int, levels: int, threshold: float, min_size: int
+) -> None:
+    """Blocks of 8,192 successive regions are merged first; between these regions are only such without edges."""
+    edges, size = random_regions(seed, num_regions, 3 * num_regions)
+    cost = torch.randint(levels, (3 * num_regions,), generator=torch.Generator().manual_seed(seed)) / (levels - 1)
+    place = torch.arange(num_regions) + 8192 * (torch.arange(num_regions) * 3 // num_regions)
+    sizes = torch.zeros(3 * 8192, dtype=torch.int64).index_copy_(0, place, size)
+    _, got = torch.unique(merge_regions(place[edges], cost, sizes, threshold, min_size)[place], return_inverse=True)
+    assert got.tolist() == merge_regions_reference(edges, cost, size, threshold, min_size).tolist()
+
+
 @pytest.mark.parametrize(("levels", "threshold", "min_size"), [(5, 0.3, 0), (5, 0.0, 4), (1000, 0.2, 4)])
 def test_the_twin_agrees_when_borders_need_more_room(levels, threshold, min_size):
     edges, size = random_regions(seed=levels, num_regions=60, num_edges=3000)
@@ -65,7 +86,7 @@ def test_the_twin_agrees_when_borders_need_more_room(levels, threshold, min_size
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_separate_graphs_do_not_touch_one_another(threads):
-    """So many edges that they are merged in several superpoints of work, whose regions alternate in memory."""
+    """So many edges that they are merged in several blocks, whose regions alternate in memory."""
     copies, levels = 40, 50
     edges, size = random_regions(seed=3, num_regions=60, num_edges=1000)
     cost = torch.randint(levels, (1000,), generator=torch.Generator().manual_seed(2)) / (levels - 1)

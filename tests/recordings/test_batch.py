@@ -3,10 +3,12 @@
 import csv
 import importlib
 import io
+import itertools
 import shutil
 import sys
 from concurrent.futures import Executor, Future
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
+from functools import partial
 from pathlib import Path
 
 import joblib
@@ -18,6 +20,7 @@ import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.engine import Engine
 from torchjoint.recordings import find_recordings, segment_recording
+from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import csv_text
 from torchjoint.runtime.outputs import lock
 from torchjoint.scene.scene import voxel_subsample
@@ -56,7 +59,11 @@ QUICK = tj.Config().set(["boundary.detector=gradient"])
 def done(scans, tmp_path_factory):
     out = tmp_path_factory.mktemp("batch") / "out"
     report = tj.batch(
-        scans, out, engine=HereExecutor(), config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2)
+        scans,
+        out,
+        engine=HereExecutor(),
+        config=QUICK,
+        options=tj.RecordingOptions(max_frames=1, thin=0.2, up=(0, 0, 1)),
     )
     return out, report
 
@@ -93,7 +100,9 @@ def test_the_workers_of_a_machine_share_its_memory(scans, tmp_path, monkeypatch)
 def test_what_is_done_is_skipped(done, scans):
     out, _ = done
     before, engine = (out / "summary.csv").read_text(), HereExecutor()
-    again = tj.batch(scans, out, engine=engine, config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2))
+    again = tj.batch(
+        scans, out, engine=engine, config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2, up=(0, 0, 1))
+    )
     assert engine.started == 1  # b, once more
     assert again.skipped == ("a", "c")
     assert list(again.failures) == ["b"]
@@ -121,16 +130,64 @@ def test_a_model_that_was_trained_anew_is_another_parameter(tmp_path):
             tj.batch(scans / "a.ply", tmp_path / "out", engine=HereExecutor(), config=config)
 
 
-def test_tables_of_others_stay(scans, tmp_path):
-    (tmp_path / "summary.csv").write_text("precious")
-    with pytest.raises(FileExistsError, match=r"summary\.csv: is of no batch; choose another folder"):
-        tj.batch(scans, tmp_path, engine=HereExecutor())
-    assert [path.name for path in tmp_path.iterdir()] == ["summary.csv"]
-    assert (tmp_path / "summary.csv").read_text() == "precious"
+@pytest.mark.parametrize("name", ["batch.yaml", "summary.csv", "failures.csv"])
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_tables_of_others_stay(scans, tmp_path, name, overwrite):
+    (tmp_path / name).write_text("precious: 1")
+    with pytest.raises(
+        FileExistsError, match=rf"{name}: is (of no|not as a) batch.*; move it, or choose another folder"
+    ):
+        tj.batch(scans, tmp_path, engine=HereExecutor(), overwrite=overwrite)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "precious: 1"
+
+
+def test_notes_in_a_table_stay(scans, tmp_path, monkeypatch):
+    """A user writes a column into the table, between two batches or while one works."""
+    segment, options = (
+        tj.recordings.one_scene.segment_recording,
+        tj.RecordingOptions(max_frames=1, thin=0.2, up=(0, 0, 1)),
+    )
+    batch = partial(tj.batch, scans / "a", tmp_path, engine=HereExecutor(), config=QUICK, options=options)
+    assert batch().reports
+    assert batch().skipped == ("a",)  # its own table is known
+    kept = tmp_path / "summary.csv"
+
+    def late(*arguments, **others):
+        kept.write_text("mine")
+        return segment(*arguments, **others)
+
+    monkeypatch.setattr(tj.recordings.one_scene, "segment_recording", late)
+    with pytest.warns(UserWarning, match=r"summary\.csv: is not as a batch wrote it, and is kept"):
+        assert batch(overwrite=True).reports
+    with pytest.raises(FileExistsError, match=r"summary\.csv: is not as a batch wrote it"):
+        batch(overwrite=True)
+    assert kept.read_text() == "mine"
+
+
+def test_a_kill_between_the_files_of_a_batch(scans, tmp_path, monkeypatch):
+    options = tj.RecordingOptions(max_frames=1, thin=0.2, up=(0, 0, 1))
+    batch = partial(tj.batch, out=tmp_path, engine=HereExecutor(), config=QUICK, options=options)
+    batch(scans / "a")
+    for scene, count in itertools.product([scans / "c", scans / "b", scans], range(1, 4)):
+        left = [*range(count)]
+
+        def write(path, text, left=left):
+            if not left:
+                raise KeyboardInterrupt
+            left.pop()
+            write_text(path, text)
+
+        monkeypatch.setattr(importlib.import_module("torchjoint.recordings.batch"), "write_text", write)
+        with suppress(KeyboardInterrupt):
+            batch(scene)
+    monkeypatch.undo()
+    assert list(batch(scans).failures) == ["b"]
+    assert list(table(tmp_path / "summary.csv")) == ["a", "c"]
 
 
 def test_the_command(done, scans, run, capsys):
-    options = ["-o", done[0], "--max-frames", 1, "--thin", 0.2, "--set", "boundary.detector=gradient"]
+    options = ["-o", done[0], "--max-frames", 1, "--thin", 0.2, "--up", 0, 0, 1, "--set", "boundary.detector=gradient"]
     run("batch", scans / "a", scans / "c", *options)  # nothing to do: no worker starts
     text = capsys.readouterr().out
     assert "0 segmented, 2 were done before, 0 failed" in text
@@ -230,7 +287,11 @@ def test_tables_that_cannot_be_written(scans, tmp_path):
     (out / "summary.csv").mkdir(parents=True)
     with pytest.warns(UserWarning, match=r"summary.csv and failures.csv could not be written"):
         report = tj.batch(
-            scans / "a", out, engine=HereExecutor(), config=QUICK, options=tj.RecordingOptions(max_frames=1, thin=0.2)
+            scans / "a",
+            out,
+            engine=HereExecutor(),
+            config=QUICK,
+            options=tj.RecordingOptions(max_frames=1, thin=0.2, up=(0, 0, 1)),
         )
     assert list(report.reports) == ["a"]
     assert len(tj.load_result(out / "a").points) == report.reports["a"].points
@@ -239,7 +300,7 @@ def test_tables_that_cannot_be_written(scans, tmp_path):
 class TestOrigin:
     """A result that is there is taken only if it is what this batch would make."""
 
-    OPTIONS = tj.RecordingOptions(max_frames=1, thin=0.2)
+    OPTIONS = tj.RecordingOptions(max_frames=1, thin=0.2, up=(0, 0, 1))
 
     @pytest.fixture
     def kitchens(self, tmp_path):
@@ -289,6 +350,20 @@ class TestOrigin:
         record = (out / "kitchen" / "run.yaml").read_text()
         (out / "kitchen" / "run.yaml").write_text(record.replace("torchjoint: ", "torchjoint: 9."))
         assert "other version, config; choose" in self.batch(kitchens[0], out).failures["kitchen"]
+
+    def test_a_batch_with_other_options_that_was_killed(self, kitchens, tmp_path, monkeypatch):
+        """Its parameters were those of the record, the results those of the batch before."""
+        out = tmp_path / "out"
+        tj.batch(kitchens[0], out, engine=HereExecutor(), config=QUICK)
+
+        def killed(*_):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(importlib.import_module("torchjoint.recordings.batch"), "_sorted_out", killed)
+        with pytest.raises(KeyboardInterrupt):
+            self.batch(kitchens[0], out, overwrite=True)
+        monkeypatch.undo()
+        assert "other options or models; choose" in self.batch(kitchens[0], out).failures["kitchen"]
 
     def test_results_beside_a_recording_do_not_change_it(self, scans, tmp_path):
         scene = shutil.copytree(scans / "a", tmp_path / "a")

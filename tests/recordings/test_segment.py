@@ -1,6 +1,7 @@
 """One recording over many workers: the same labels as in one process."""
 
 import contextlib
+import os
 import threading
 from concurrent.futures import Future
 from dataclasses import replace
@@ -12,7 +13,7 @@ from test_batch import HereExecutor
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.engine.engine import SHARED
-from torchjoint.recordings.segment import evidence_of_chunks, run, segment_recording
+from torchjoint.recordings.segment import evidence_of_chunks, fingerprints, run, segment_recording
 from torchjoint.results.checkpoint import Checkpoint
 from torchjoint.runtime.files import file_checksum
 
@@ -95,6 +96,17 @@ def test_a_fused_cloud_is_of_its_format(scene_of, tmp_path, monkeypatch):
     assert given == [(None, False), (None, True), ("tum", False)]
 
 
+def test_a_whole_result_of_another_up_is_not_taken(scene_of, tmp_path, monkeypatch):
+    """A run that was killed after its last file, started again with the same arguments, has nothing to do."""
+    recording, out = tmp_path / "a.ply", tmp_path / "out"
+    write_cloud(recording, scene_of(1).scene.points)
+    for up, has_run in (((0.0, 0.0, 1.0), True), ((0.0, 0.0, 1.0), False), ((1.0, 0.0, 0.0), True)):
+        with monkeypatch.context() as patch:
+            patch.setattr("torchjoint.results.output_folder._place", lambda *_: None)
+            made = segment_recording(recording, out, QUICK, tj.RecordingOptions(up=up))
+            assert (made is not None) == has_run
+
+
 @pytest.mark.parametrize("late", [None, "image", "masks", "gone"])
 def test_a_recording_that_changes_meanwhile(scene_of, tmp_path, monkeypatch, late):
     """As one that is still being copied."""
@@ -110,10 +122,47 @@ def test_a_recording_that_changes_meanwhile(scene_of, tmp_path, monkeypatch, lat
         return scene_of(1).scene
 
     monkeypatch.setattr("torchjoint.recordings.segment.load_scene", load)
-    monkeypatch.setattr("torchjoint.recordings.segment.read_folder", lambda _, scene, __: scene)
+    monkeypatch.setattr("torchjoint.recordings.segment.read_folder", lambda _, scene, *__: scene)
     told = (
         contextlib.nullcontext() if late is None else pytest.warns(UserWarning, match=r"a\.ply: changed while it was")
     )
     with told:
         segment_recording(recording, tmp_path / "out", QUICK, tj.RecordingOptions(), masks=masks)
     tj.load_result(tmp_path / "out")
+
+
+def test_the_result_beside_a_file_of_masks_is_no_change(tmp_path):
+    masks, out = tmp_path / "masks.json", tmp_path / "out"
+    (tmp_path / "recording").mkdir()
+    masks.write_text("{}")
+    before = fingerprints(tmp_path / "recording", masks, out)
+    (tmp_path / "out.partial").mkdir()
+    (tmp_path / "out.partial" / "state.npz").write_text("of the run")
+    assert fingerprints(tmp_path / "recording", masks, out) == before
+
+
+@pytest.mark.parametrize("place", ["a.ply", "masks/b.png"])
+def test_another_file_with_the_time_of_the_first(scene_of, tmp_path, monkeypatch, place):
+    """A run that was killed does not go on with what it has computed from the file before."""
+    masks, partial = tmp_path / "masks", tmp_path / "out.partial" / "state" / "kept"
+    masks.mkdir()
+    (masks / "b.png").write_bytes(b"one")
+    write_cloud(tmp_path / "a.ply", scene_of(1).scene.points)
+    went_on = []
+
+    def load(*_, **__):
+        went_on.append(partial.exists())
+        partial.parent.mkdir(exist_ok=True)
+        partial.touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("torchjoint.recordings.segment.load_scene", load)
+    monkeypatch.setattr("torchjoint.recordings.segment.check_files", lambda _: None)
+    for run_number in range(3):
+        if run_number == 2:
+            status = (tmp_path / place).stat()
+            (tmp_path / place).write_bytes((tmp_path / place).read_bytes()[::-1])
+            os.utime(tmp_path / place, ns=(status.st_atime_ns, status.st_mtime_ns))
+        with pytest.raises(KeyboardInterrupt):
+            segment_recording(tmp_path / "a.ply", tmp_path / "out", QUICK, tj.RecordingOptions(), masks=masks)
+    assert went_on == [False, True, False]

@@ -1,10 +1,12 @@
 """Boxes around things: out, edited in another program, and back."""
 
+import csv
 import json
 import math
 import tracemalloc
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -13,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import torchjoint as tj
+from torchjoint.datasets import load_cloud
 from torchjoint.results import shared_edits as box_edits
 from torchjoint.results.boxes import (
     Box,
@@ -22,8 +25,10 @@ from torchjoint.results.boxes import (
     openpcdet_lines,
     read_boxes,
     segmentsai_label,
+    upright_points,
 )
 from torchjoint.results.exports.boxes import (
+    export_csv,
     export_cuboids,
     export_cvat,
     export_geojson,
@@ -31,6 +36,8 @@ from torchjoint.results.exports.boxes import (
     export_openpcdet,
 )
 from torchjoint.results.folder import write_result
+
+UP_X = torch.tensor([1.0, 0, 0])
 
 
 def block(center, size, yaw, count=400, seed=0):
@@ -106,18 +113,42 @@ def test_files_are_as_the_programs_read_them(tmp_path):
     assert cuboid["scale"] == pytest.approx([1, 0.5, 0.4], abs=1e-4)
 
 
-def test_a_tilted_scene_is_told(tmp_path):
-    lying = torch.cat([block((0, 0, 0), (0.02, 2, 2), 0, 4000), block((0.3, 0, 0), (0.5, 0.1, 0.1), 0)])
-    pose = torch.eye(4)
-    pose[:3, :3] = torch.tensor([[0.0, 1, 0], [-1.0, 0, 0], [0, 0, 1]])  # cameras whose up is +x
-    frame = tj.Frame(torch.zeros(3, 16, 16), torch.eye(3), pose)
-    labels = torch.zeros(len(lying), dtype=torch.int64)
-    images = [torch.full((16, 16), -1)]
-    result = tj.Result.of(tj.Segmentation(labels, images, names=("a",)), tj.Scene(lying, [frame]))
-    with pytest.warns(UserWarning, match="boxes stand along z, but up in this scene is 90 degrees away"):
-        export_openpcdet(tmp_path / "boxes.txt", result)
+def footprint_of(points, tmp_path):
+    result = tj.Result.of(tj.Segmentation(torch.zeros(len(points), dtype=torch.int64), ()), tj.Scene(points))
+    export_geojson(tmp_path / "a.geojson", result, 25832)
+    (feature,) = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    return feature["geometry"], feature["properties"]["area"]
+
+
+def test_footprints_of_an_l_and_of_two_parts(tmp_path):
+    random = torch.Generator().manual_seed(0)
+    places = torch.rand(8000, 3, generator=random, dtype=torch.float64) * torch.tensor([10, 10, 0.1])
+    corner = torch.tensor([691_000.0, 5_334_000.0, 500.0], dtype=torch.float64)
+    in_l = places[(places[:, 0] < 5) | (places[:, 1] < 4)]
+    geometry, area = footprint_of(in_l + corner, tmp_path)
+    (ring,) = geometry["coordinates"]
+    assert geometry["type"] == "Polygon"
+    assert len(ring) < 12  # corners that a surveyor would draw
+    assert area == pytest.approx(70, rel=0.03)
+    x, y = (np.array(ring) - ring[0]).T
+    assert (x[:-1] * y[1:] - y[:-1] * x[1:]).sum() / 2 == pytest.approx(area, rel=0.01)  # counter-clockwise
+    inside = cv2.pointPolygonTest(
+        (np.array(ring) - corner[:2].numpy()).astype(np.float32), (5.5, 4.5), measureDist=True
+    )
+    assert inside < -0.3  # not in the convex hull alone
+    apart = torch.cat([places, places + torch.tensor([20, 0, 0])])
+    geometry, area = footprint_of(apart + corner, tmp_path)
+    assert geometry["type"] == "MultiPolygon"
+    assert len(geometry["coordinates"]) == 2
+    assert area == pytest.approx(200, rel=0.03)
+    assert footprint_of(places[:200], tmp_path)[1] == pytest.approx(cv2.contourArea(cv2.convexHull(
+        places[:200, :2].float().numpy())), rel=1e-3)  # fmt: skip
+
+
+def test_footprints_of_a_tilted_scene_are_told(tmp_path):
+    result = tj.Result.of(tj.Segmentation(torch.zeros(9, dtype=torch.int64), ()), tj.Scene(torch.rand(9, 3), up=UP_X))
     with (
-        pytest.warns(UserWarning, match="footprints are seen along z, but up in this scene is 90 degrees away"),
+        pytest.warns(UserWarning, match="footprints are seen along z, but up in this scene is 90 degrees away from it"),
         pytest.warns(
             UserWarning, match=r"a\.geojson: no coordinate system .*: programs will take the metres for degrees"
         ),
@@ -125,12 +156,40 @@ def test_a_tilted_scene_is_told(tmp_path):
         export_geojson(tmp_path / "a.geojson", result)
 
 
+def test_boxes_of_a_tilted_scene_stand_upright():
+    """They are those of the same things in a scene whose z is up."""
+    upright = three()
+    tilted = replace(upright, scene=tj.Scene(upright.scene.points[:, [2, 0, 1]], up=UP_X))
+    turned = upright_points(tilted.scene)
+    assert np.allclose(turned[:, 2], upright.scene.points[:, 2])
+    for one, other in zip(boxes_of(tilted).values(), boxes_of(upright).values(), strict=True):
+        assert np.allclose(one.size, other.size, atol=1e-4)
+        assert one.center[2] == pytest.approx(other.center[2], abs=1e-5)
+    for segment, box in boxes_of(tilted).items():
+        assert box.holds(turned[tilted.points.numpy() == segment]).all()
+
+
+def test_a_leaning_floor_turns_no_cloud_alone(tmp_path):
+    """A survey's ground may slope: z is up, to the last digit, and the table of segments says the same as the boxes."""
+    slope = block((0, 0, 0), (20, 20, 0.01), 0.3, 4000)
+    slope[:, 2] += 0.1 * slope[:, 0]
+    result = result_of(slope, block((3, 1, 2), (1, 0.5, 0.4), 0))
+    export_csv(tmp_path / "a.csv", result)
+    rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    for row, box in zip(rows, boxes_of(result).values(), strict=True):
+        assert [float(row[name]) for name in ("x", "y", "z")] == pytest.approx(box.center, abs=1e-3)
+        assert [float(row[f"size_{axis}"]) for axis in "xyz"] == pytest.approx(box.size, abs=1e-3)
+        low, high = box.center[2] - box.size[2] / 2, box.center[2] + box.size[2] / 2
+        assert [float(row["bottom"]), float(row["top"])] == pytest.approx([low, high], abs=1e-3)
+    assert float(rows[1]["area"]) == pytest.approx(0.5, abs=1e-3)  # of the block, 1 m by 0.5 m
+
+
 @pytest.mark.parametrize("export", [export_openpcdet, export_labelcloud, export_cuboids, export_cvat])
 def test_what_nobody_edited_changes_nothing(tmp_path, export):
     result = replace(three(), segment_names={1: "a red block"})
     file = tmp_path / ("boxes.txt" if export is export_openpcdet else "boxes.json")
     export(file, result)
-    assert edits_of_boxes(result, read_boxes(file)[::-1]) == ((), 0, 0, ())
+    assert edits_of_boxes(result, read_boxes(file)[::-1]) == ((), 0, 0, (), 0)
 
 
 @pytest.mark.parametrize("name", ["thing", " thing ", "  a chair ", "\u2028a", "\r", "x\ny"])
@@ -151,17 +210,16 @@ def test_many_boxes_of_a_large_cloud_take_little_memory():
 
 
 def test_cuboids_without_names_leave_the_names(tmp_path):
-    """An editor without the attribute drops it; an empty one removes the name."""
+    """An editor may drop the attribute, or leave it empty."""
     result = replace(three(), segment_names={1: "a red block"})
     label = segmentsai_label(boxes_of(result))
     for one in label["annotations"]:
         del one["attributes"]
     (tmp_path / "a.json").write_text(json.dumps({"label_status": "LABELED", "attributes": label}))
-    assert edits_of_boxes(result, read_boxes(tmp_path / "a.json")) == ((), 0, 0, ())
+    assert edits_of_boxes(result, read_boxes(tmp_path / "a.json")) == ((), 0, 0, (), 0)
     label["annotations"][1]["attributes"] = {"name": ""}
     (tmp_path / "a.json").write_text(json.dumps(label))
-    (step,) = edits_of_boxes(result, read_boxes(tmp_path / "a.json")).steps
-    assert (step.kind, step.superpoints, step.name) == ("name", (1,), "")
+    assert edits_of_boxes(result, read_boxes(tmp_path / "a.json")) == ((), 0, 0, (), 0)
 
 
 def test_a_deleted_box_joins_and_a_name_is_taken():
@@ -178,15 +236,16 @@ def test_a_deleted_box_joins_and_a_name_is_taken():
     assert edits_of_boxes(result, [table, block_on_it, beside, far]).empty == (3,)
     # Deleted without another box around it: it stays as it is.
     assert edits_of_boxes(result, [table, block_on_it]).steps == ()
-    assert edits_of_boxes(result, []) == ((), 0, 0, ())
+    assert edits_of_boxes(result, []) == ((), 0, 0, (), 3)
 
 
-def test_a_name_can_be_removed():
+def test_a_file_without_names_takes_none_away():
+    """It may have been exported before the things were named."""
     result = result_of(block((3, 1, 0.2), (1, 0.5, 0.4), 0), names={0: "chair"})
     (box,) = boxes_of(result).values()
     assert box.name == "chair"
-    (step,) = edits_of_boxes(result, [box._replace(name="thing")]).steps
-    assert (step.kind, step.name) == ("name", "")
+    for name in ("thing", "", "chair"):
+        assert edits_of_boxes(result, [box._replace(name=name)]).steps == ()
 
 
 @given(
@@ -222,6 +281,11 @@ def test_any_boxes_come_back(tmp_path_factory, boxes):
         ("a.txt", "\n1 2 3 4 5 six 0.1 chair", r"line 2: expected seven numbers"),
         ("a.txt", "1 2 3 4 -5 6 0.1 chair", r"line 1: expected finite numbers and sizes of at least 0"),
         ("a.txt", "1 2 nan 4 5 6 0.1 chair", r"line 1: expected finite numbers"),
+        (
+            "a.json",
+            '{"images": [], "categories": []}',
+            "expected boxes, got COCO's masks of images; they go into a new",
+        ),
         ("a.json", "[1]", "expected boxes: `objects` of labelCloud, `annotations` of Segments.ai"),
         ("a.json", '{"objects": 3}', "objects is int"),
         ("a.json", '{"objects": [{"name": "a"}]}', "object 0: expected name, centroid"),
@@ -316,13 +380,19 @@ def test_a_tilted_box_is_refused(tmp_path):
     assert read_boxes(tmp_path / "a.json")[0].yaw == 0.63
 
 
-def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0)])
+def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up):
+    """If z is not up, the boxes are those of a turned cloud, which is written beside them."""
     config = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
-    scene = scene_of(3).scene
+    scene = replace(scene_of(3).scene, up=torch.tensor(up).float())
     out = tmp_path / "out"
     out.mkdir()
     write_result(out, scene, tj.JointSegmenter(config)(scene), config, "test")
     run("export", out, "--format", "labelcloud", "-o", tmp_path / "boxes.json")
+    if up[2]:
+        assert not (tmp_path / "boxes.ply").exists()
+    else:
+        assert torch.equal(load_cloud(tmp_path / "boxes.ply").points[:, 2], -scene.points[:, 1])
     run("edits", "import", out, tmp_path / "boxes.json")
     assert "0 things joined others, 0 names changed" in capsys.readouterr().out
     assert not (out / "edits.json").exists()
@@ -330,7 +400,7 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     before = tj.load_result(out)
     largest = int(torch.bincount(before.points).argmax())
     record["objects"][largest]["name"] = "floor"
-    inside = boxes_of(before)[largest].holds(before.scene.points.double().numpy())
+    inside = boxes_of(before)[largest].holds(upright_points(before.scene))
     within = [inside[(before.points == number).numpy()].mean() for number in range(before.num_point_segments)]
     gone = next(number for number, share in enumerate(within) if number != largest and share > 0.9)
     del record["objects"][gone]
@@ -340,6 +410,11 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     after = tj.load_result(out)
     assert len(after.points.unique()) == before.num_point_segments - 1
     assert "floor" in after.segment_names.values()
+    record["objects"] = record["objects"][largest : largest + 1]
+    record["objects"][0]["dimensions"] = dict.fromkeys(record["objects"][0]["dimensions"], 1e-3)
+    (tmp_path / "one.json").write_text(json.dumps(record))
+    run("edits", "import", out, tmp_path / "one.json")
+    assert f"{len(after.points.unique())} things whose box was deleted lie in no other" in capsys.readouterr().out
     with pytest.raises(SystemExit, match="no-such"):
         run("edits", "import", out, tmp_path / "no-such.json")
 
@@ -349,7 +424,7 @@ def test_segments_without_points_have_no_box(tmp_path):
     masked = replace(result, points=torch.where(result.points == 1, -1, result.points))
     export_openpcdet(tmp_path / "boxes.txt", masked)
     assert len(read_boxes(tmp_path / "boxes.txt")) == 2
-    assert edits_of_boxes(masked, read_boxes(tmp_path / "boxes.txt")) == ((), 0, 0, ())
+    assert edits_of_boxes(masked, read_boxes(tmp_path / "boxes.txt")) == ((), 0, 0, (), 0)
 
 
 def test_a_second_import_goes_on_from_the_first(run, tmp_path):
@@ -373,3 +448,52 @@ def test_a_second_import_goes_on_from_the_first(run, tmp_path):
     (named,) = after.segment_names
     assert after.segment_names == {named: "chair"}
     assert torch.equal(after.points == named, result.points == 2)
+
+
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimiter):
+    """A table as spreadsheets write it: rows left out and sorted, another delimiter, a byte order mark."""
+    config = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
+    scene, out, table = scene_of(3).scene, tmp_path / "out", tmp_path / "names.csv"
+    out.mkdir()
+    write_result(out, scene, tj.JointSegmenter(config)(scene), config, "test")
+    run("export", out, "--format", "csv", "-o", table)
+    before = table.read_bytes()
+    run("edits", "import", out, table)
+    assert "0 names changed" in capsys.readouterr().out
+    rows = list(csv.DictReader(before.decode().splitlines()))
+    rows[0]["name"], rows[2]["name"] = "house, old", "-5 garage"
+
+    def write(rows):
+        with table.open("w", encoding="utf-8-sig", newline="") as file:
+            writer = csv.DictWriter(file, ["points", "name", "id"], extrasaction="ignore", delimiter=delimiter)
+            writer.writeheader()
+            writer.writerows(rows)
+
+    write([rows[2], rows[0]])
+    run("edits", "import", out, table)
+    assert tj.load_result(out).segment_names == {0: "house, old", 2: "-5 garage"}
+    table.unlink()
+    run("export", out, "--format", "csv", "-o", table)  # "-5 garage" got an apostrophe, which is no change
+    edits = (out / "edits.json").read_bytes()
+    run("edits", "import", out, table)
+    assert (out / "edits.json").read_bytes() == edits
+    write([rows[0] | {"name": "", "points": "3"}, rows[2] | {"name": "garage"}])  # an old table of one more name
+    run("edits", "import", out, table)
+    assert tj.load_result(out).segment_names == {0: "house, old", 2: "garage"}
+    for wrong, told in (
+        ({"points": "3"}, "the table says 3"),
+        ({"id": "9999"}, "has 0 points"),
+        ({"id": "x"}, "has 0"),
+        ({"id": "9" * 5000}, "has 0"),
+        ({"name": "shed" * 40_000}, "field larger than field limit"),
+    ):
+        write([rows[0] | {"name": "shed"} | wrong])
+        with pytest.raises(SystemExit, match=rf"names\.csv: (line 2: 'shed': segment )?.*{told}"):
+            run("edits", "import", out, table)
+    table.write_bytes("id,name,points\n0,Gebäude,1\n".encode("cp1252"))
+    with pytest.raises(SystemExit, match=r"names\.csv: expected a table of segments in UTF-8 as text"):
+        run("edits", "import", out, table)
+    table.write_text("id,name\n")
+    with pytest.raises(SystemExit, match="expected the columns id, name and points"):
+        run("edits", "import", out, table)

@@ -23,6 +23,16 @@ def test_any_cloud_is_drawn(dtype, with_colors):
         assert len(figure.get_axes() or figure.subfigs) > 0
 
 
+def test_the_frames_of_some_names_are_drawn(scene_of):
+    scene = scene_of(3).scene
+    images = [torch.zeros(frame.size, dtype=torch.int64) for frame in scene.frames]
+    names = tuple(f"f{index}" for index in range(len(images)))
+    result = Segmentation(torch.zeros(len(scene.points), dtype=torch.int64), images, initial_images=images, names=names)
+    for given, drawn in ((("f1", "f3", "g"), ["f1", "f3"]), ((), [names[0], names[-1]])):
+        figure = overview(scene, result, 2, given)
+        assert [axis.get_title() for axis in figure.subfigs[0].axes if axis.get_title()] == drawn
+
+
 def test_no_program_draws_text(scene_of, tmp_path, monkeypatch):
     """A file matplotlibrc in the current folder, such as a stranger's recording, can ask for LaTeX."""
     monkeypatch.setenv("PATH", str(tmp_path))

@@ -105,6 +105,16 @@ class TestDamage:
             with pytest.raises(ValueError, match=r"hierarchy\.npz: not a whole hierarchy"):
                 read_hierarchy(tmp_path, 3)
 
+    @pytest.mark.parametrize("name", ["piece", "merges", "votes", "piece_size"])
+    def test_floats_are_not_cut_to_integers(self, tmp_path, name):
+        arrays = {"piece": np.arange(3), "merges": np.array([[0, 1]]), "heights": np.array([0.5]), "default": 0.5}
+        arrays |= {"votes": np.zeros((1, 3), np.uint8), "piece_size": np.ones(3, np.uint64)}
+        np.savez(tmp_path / "hierarchy.npz", **arrays)
+        assert read_hierarchy(tmp_path, 3).votes.size.tolist() == [1, 1, 1]
+        np.savez(tmp_path / "hierarchy.npz", **arrays | {name: arrays[name] + 0.4})
+        with pytest.raises(ValueError, match=r"hierarchy\.npz: not a whole hierarchy.*float64"):
+            read_hierarchy(tmp_path, 3)
+
     def test_a_superpoint_image_is_missing(self, tmp_path, scene, result):
         read = read_result(written(tmp_path / "out", scene, result))
         next((tmp_path / "out" / "pieces").iterdir()).unlink()

@@ -4,6 +4,8 @@ import csv
 import json
 import re
 import resource
+import shutil
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -68,14 +70,16 @@ def test_splats_get_labels_and_keep_every_byte(splats, run, tmp_path):
     assert written["label"].min() >= 0  # faint ones, too
 
     run("label", tmp_path / "result", path, "-o", tmp_path / "things")
-    files = sorted((tmp_path / "things").iterdir())
+    files = sorted((tmp_path / "things").glob("*.ply"))
     assert [int(file.stem) for file in files] == labels.unique().tolist()
     parts = [np.frombuffer(file.read_bytes().partition(b"end_header\n")[2], rows.dtype) for file in files]
     for index, part in enumerate(parts):
         assert part.tobytes() == rows[written["label"] == index].tobytes()
     with pytest.raises(SystemExit, match="exists already"):
         run("label", tmp_path / "result", path, "-o", tmp_path / "things")
-    with pytest.raises(SystemExit, match=r"-o: expected a folder, for \.ply files, got the name of a file, a\.obj"):
+    with pytest.raises(
+        SystemExit, match=r"-o: expected a file that ends in \.ply, \.glb, \.las, \.laz, or a folder, got .*a\.obj"
+    ):
         run("label", tmp_path / "result", path, "-o", tmp_path / "a.obj")
     run("label", tmp_path / "result", path, "-o", tmp_path / "things", "--overwrite")
     (tmp_path / "things" / "thesis.tex").write_text("precious")
@@ -142,9 +146,9 @@ def test_a_mesh_has_labels_of_vertices_and_triangles(tmp_path, encoding):
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
 def test_line_ends_and_comments_stay(tmp_path, encoding):
-    """As Windows writes them: without the label, the file is the one before."""
+    """As Windows writes them: without the label, the file is the one before. No warning tells of columns that stay."""
     path = squares(tmp_path / "a.ply", encoding)
-    head, end, body = path.read_bytes().partition(b"end_header\n")
+    head, end, body = path.read_bytes().replace(b"quality", b"warmth").partition(b"end_header\n")
     body = body.replace(b"\n", b" \r\n") + b"\r\n" if encoding == "ascii" else body
     path.write_bytes(head.replace(b"\n", b" \r\n") + end.replace(b"\n", b"\r\n") + body)
     label_file(path, tmp_path / "b.ply", of_squares(), name="thing")
@@ -331,6 +335,13 @@ class TestSurvey:
         run("export", survey[1], "--format", "las", "-o", tmp_path / "out.laz")
         self.check(survey[0], tmp_path / "out.laz", survey[1])
 
+    def test_of_a_laz_comes_a_laz(self, survey, run, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        run("export", survey[1], "--format", "las")
+        self.check(survey[0], tmp_path / "result-las.laz", survey[1])
+        with laspy.open(tmp_path / "result-las.laz") as file:
+            assert file.header.are_points_compressed
+
     def test_table(self, survey, run, tmp_path):
         """A line for each segment, with its place in the coordinates of the survey."""
         run("export", survey[1], "--format", "csv", "-o", tmp_path / "out.csv")
@@ -354,13 +365,13 @@ class TestSurvey:
         assert [one["properties"]["id"] for one in found["features"]] == list(range(result.num_point_segments))
         for one in found["features"]:
             points = result.scene.points[result.points == one["id"], :2].double()
-            corners = torch.tensor(one["geometry"]["coordinates"], dtype=torch.float64).view(-1, 2)
-            assert one["geometry"]["type"] == ("Polygon" if len(corners) > 1 else "Point")
+            assert one["geometry"]["type"] == "Polygon"
+            corners = torch.tensor(one["geometry"]["coordinates"], dtype=torch.float64)[0]
             assert torch.equal(corners[0], corners[-1])
             for corner in corners:
-                assert (points - corner).norm(dim=1).min() < 0.01
-            torch.testing.assert_close(corners.amin(0), points.amin(0), rtol=0, atol=0.01)
-            torch.testing.assert_close(corners.amax(0), points.amax(0), rtol=0, atol=0.01)
+                assert (points - corner).norm(dim=1).min() < 0.5
+            torch.testing.assert_close(corners.amin(0), points.amin(0), rtol=0, atol=0.5)
+            torch.testing.assert_close(corners.amax(0), points.amax(0), rtol=0, atol=0.5)
 
     def test_the_file_is_gone(self, survey, run, tmp_path):
         moved = survey[0].rename(tmp_path / "moved.laz")
@@ -400,6 +411,19 @@ class TestSurvey:
             with pytest.raises(SystemExit, match=r"expected another path than the input's, .*site\.laz"):
                 run(*command, survey[0])
         assert survey[0].read_bytes() == before
+
+    def test_a_survey_that_was_given_by_a_relative_path(self, survey, run, tmp_path, monkeypatch):
+        """It was known only in the folder where `segment` had been called, and was replaced from another one."""
+        file = Path(shutil.copy(survey[0], tmp_path))
+        before = file.read_bytes()
+        monkeypatch.chdir(tmp_path)
+        run("segment", file.name, "-o", "result")
+        monkeypatch.chdir(tmp_path.parent)
+        with pytest.raises(SystemExit, match=r"expected another path than the input's, .*site\.laz"):
+            run("export", tmp_path / "result", "--format", "las", "--overwrite", "-o", file)
+        assert file.read_bytes() == before
+        run("export", tmp_path / "result", "--format", "las", "-o", tmp_path / "out.laz")
+        self.check(file, tmp_path / "out.laz", tmp_path / "result")
 
     def test_copc_is_not_written(self, survey, run, tmp_path):
         out, told = tmp_path / "out.copc.laz", rf"got {tmp_path}/out\.copc\.laz: COPC is read but not written"

@@ -14,6 +14,7 @@ from torchjoint.datasets.files.ply import read_ply
 from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports.boxes import export_csv
 from torchjoint.results.inputs import write_inputs
+from torchjoint.results.mask_report import count_masks
 from torchjoint.results.parts import Parts
 from torchjoint.scene import LabelImages
 
@@ -61,6 +62,7 @@ def test_by_hand(tmp_path, synthetic):
         {"id": 0, "masked": round(inside, 4), "frames": 1, "names": {"cup": 1}},
         {"id": 2, "masked": round(10 / 60, 4), "frames": 0, "names": {}},
     ]
+    assert count_masks(tmp_path) == (1, 1, 2)  # the floor has no segment in the cloud
 
 
 def test_frames_without_masks_do_not_count(tmp_path, synthetic):
@@ -137,7 +139,7 @@ class TestARun:
         stored = tj.load_result(out, edits=False).points.numpy()
         assert (labels == np.where(np.isin(stored, kept), stored, -1)).all()
         run("export", out, "--format", "ply", "-o", tmp_path / "ply", "--only-masked")
-        written = {int(file.stem.removesuffix("-it")): file for file in (tmp_path / "ply").iterdir()}
+        written = {int(file.stem.removesuffix("-it")): file for file in (tmp_path / "ply").glob("*.ply")}
         assert sorted(written) == kept
         assert any(file.stem.endswith("-it") for file in written.values())
         assert len(read_ply(written[kept[0]]).points) == (stored == kept[0]).sum()

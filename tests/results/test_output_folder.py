@@ -1,5 +1,6 @@
 """A result is there as a whole or not at all, wherever the run that makes it is killed; and only one run makes it."""
 
+import errno
 import os
 import re
 import sys
@@ -206,7 +207,9 @@ def test_corrections_by_hand_are_not_overwritten(tmp_path):
 
 
 @pytest.mark.parametrize("has_manifest", [False, True])
-@pytest.mark.parametrize("name", ["images/mine/a.png", "images/notes.txt", "pieces/a.npz", "images/7.png"])
+@pytest.mark.parametrize(
+    "name", ["images/mine/a.png", "images/notes.txt", "images/.notes.md", "pieces/a.npz", "images/7.png"]
+)
 def test_what_a_user_put_into_its_folders_is_not_overwritten(tmp_path, name, has_manifest):
     out = tmp_path / "out"
     assert run(out)
@@ -221,11 +224,11 @@ def test_what_a_user_put_into_its_folders_is_not_overwritten(tmp_path, name, has
     assert run(out, overwrite=True, key="third")
 
 
-@pytest.mark.parametrize("name", ["notes.txt", "mine/chair.ply", "images.zip", ".git/config"])
+@pytest.mark.parametrize("name", ["notes.txt", "mine/chair.ply", "images.zip", ".git/config", ".notes.md"])
 def test_what_a_user_put_into_a_result_is_not_overwritten(tmp_path, name):
     out = tmp_path / "out"
     assert run(out)
-    write(out, {name: "mine", ".hidden": "of the system"})
+    write(out, {name: "mine", ".DS_Store": "of the system"})
     with pytest.raises(FileExistsError, match=rf"{name.split('/')[0]}: is of no result of torchjoint; move or delete"):
         run(out, overwrite=True, key="other")
     assert (out / name).read_text() == "mine"
@@ -361,3 +364,23 @@ def test_corrections_that_come_after_the_check_stay(out, monkeypatch):
     with pytest.raises(FileExistsError, match=r"edits\.json: was made or changed while this run worked"):
         run(out)
     assert content(out).items() >= {**OLD, "edits.json": "by hand"}.items()
+
+
+def test_a_lock_of_another_program_is_kept(tmp_path):
+    run(tmp_path / "out")
+    (tmp_path / "out" / ".other.lock").touch()
+    run(tmp_path / "out", key="second")
+    (tmp_path / "out" / ".other.lock").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"\.other\.lock: is of no result of torchjoint"):
+        run(tmp_path / "out", key="third")
+    assert (tmp_path / "out" / ".other.lock").read_text() == "mine"
+
+
+@pytest.mark.parametrize("named", [None, "/elsewhere"])
+def test_a_full_disk_is_told_with_the_folder(tmp_path, named):
+    def fill(partial):
+        raise OSError(errno.EFBIG, "File too large", named)
+
+    with pytest.raises(OSError, match="File too large") as raised:
+        run(tmp_path / "out", meanwhile=fill)
+    assert raised.value.filename == (named or str(tmp_path / "out.partial"))

@@ -1,5 +1,7 @@
 """Segments by points and pixels that somebody chose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -49,6 +51,15 @@ def test_by_hand(chosen, negative, expected):
     picked = by_hand().pick(torch.tensor(chosen), negative=torch.tensor(negative, dtype=torch.int64))
     assert picked.superpoints.tolist() == expected
     assert picked.points.nonzero().flatten().tolist() == expected
+
+
+def test_corrections_count():
+    """By hand 2 has joined 0, and 4 has left 5; with a negative the hierarchy decides."""
+    result = replace(by_hand(), points=torch.tensor([0, 0, 0, 1, 2, 3]))
+    assert result.pick(torch.tensor([1])).superpoints.tolist() == [0, 1, 2]
+    assert result.pick(torch.tensor([4])).superpoints.tolist() == [4]
+    assert result.pick(torch.tensor([2, 3])).superpoints.tolist() == [2, 3]
+    assert result.pick(torch.tensor([0]), negative=torch.tensor([5])).superpoints.tolist() == [0, 1]
 
 
 def test_positions_and_pixels():

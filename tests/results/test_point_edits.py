@@ -124,7 +124,12 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     assert after.segment_names == {int(after.points[ids == 1][0]): "a thing of two"}
     export_point_labels(file, after)
     run("edits", "import", out, file)
-    assert "0 things gathered, 0 names changed" in capsys.readouterr().out
+    assert capsys.readouterr().out == "labels of points: 0 things gathered, 0 names changed\n"
+    label = json.loads(file.read_text())
+    label["point_annotations"] = [0 if one == 1 else one for one in label["point_annotations"]]
+    file.write_text(json.dumps(label))
+    run("edits", "import", out, file)
+    assert "1 things have no labelled point: they stay" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

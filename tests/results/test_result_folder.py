@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from torchjoint.results.figures import overlay
 from torchjoint.results.folder import write_result
 from torchjoint.results.objects import oriented_box
 from torchjoint.results.render import label_colors
-from torchjoint.results.upright import up_direction, view_from_above
+from torchjoint.results.upright import fitted, up_direction
 
 GRADIENT = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 
@@ -36,6 +37,16 @@ def out(scene, result, tmp_path_factory):
     folder.mkdir()
     write_result(folder, scene, result, GRADIENT, "test")
     return folder
+
+
+def test_results_can_be_sent_to_other_processes(result, out):
+    for one in (result, tj.load_result(out)):
+        sent = pickle.loads(pickle.dumps(one))
+        for level in (0.2, 0.5):
+            there, here = sent.at(level), one.at(level)
+            assert torch.equal(there.points, here.points)
+            assert all(map(torch.equal, there.images, here.images))
+        assert torch.equal(sent.scene.frames[1].image, one.scene.frames[1].image)
 
 
 def test_a_result_is_read_back(out, scene, result):
@@ -153,7 +164,8 @@ def test_up_is_against_gravity_in_any_world_frame(scene):
     for chosen in (frames, frames[:1]):  # one camera, which looks down: only the floor says how far
         turned = tj.Scene((scene.points.double() @ turn.T).float(), chosen)
         assert float(up_direction(turned) @ (turn @ torch.tensor([0.0, 0, 1], dtype=torch.float64))) > 0.999
-    assert float(up_direction(tj.Scene(scene.points))[2]) > 0.999
+    leaning = scene.points @ torch.tensor([[0.99, 0, -0.14], [0, 1, 0], [0.14, 0, 0.99]])
+    assert up_direction(tj.Scene(leaning)).tolist() == [0, 0, 1]  # without cameras
 
 
 @pytest.mark.parametrize(("turns", "degrees"), [((0, 0, 0, 0), 35), ((0, 1, 2, 3), 54)])
@@ -165,8 +177,8 @@ def test_a_room_is_seen_from_higher_than_one_wall(turns, degrees):
         pose[:3, :3] = torch.linalg.matrix_power(torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]).double(), turn)
         frames.append(tj.Frame(torch.zeros(3, 4, 4), torch.eye(3), pose))
     scene = tj.Scene(torch.rand(50, 3, generator=torch.Generator().manual_seed(0)), frames)
-    center, eye = view_from_above(scene, np.array([0.0, -1, 0]))
-    away = eye - center
+    view = fitted(scene, np.array([0.0, -1, 0]), 0.8, 1.5)
+    away = view.position - view.target
     assert np.degrees(np.arcsin(-away[1] / np.linalg.norm(away))) == pytest.approx(degrees, abs=1)
 
 
@@ -279,7 +291,7 @@ class TestExports:
 
     def test_ply_is_replaced_but_nothing_else(self, export, result):
         folder = export("ply")
-        assert len(list(folder.iterdir())) == result.num_point_segments
+        assert len(list(folder.glob("*.ply"))) == result.num_point_segments
         with pytest.raises(SystemExit, match="exists already"):
             export("ply")
         export("ply", "--overwrite")
@@ -293,6 +305,9 @@ class TestExports:
     ("kind", "mine"),
     [
         ("ply", "scan.ply"),
+        ("ply", "20240512_site.ply"),
+        ("ply", "000000.ply"),
+        ("scannet", "predicted_masks/room_001.txt"),
         ("scannet", "notes.txt"),
         ("scannet", "predicted_masks/thesis.txt"),
         ("sam", "mine.json"),

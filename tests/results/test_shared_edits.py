@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,10 +82,33 @@ def test_corrections_that_exclude_each_other(out):
     assert opened(out)[1].steps == (A,)
 
 
-def test_only_one_saves_at_a_time(out):
+def test_names_at_many_levels_take_no_square_of_time(out):
+    """At each level all corrections are applied: a megabyte took an hour."""
+    parts, edits = opened(out)
+    steps = tuple(Edit("name", (0,), "a", number / 2000) for number in range(2000))
+    write_edits(out, replace(edits, steps=steps))
+    with pytest.raises(ValueError, match=r"edits\.json: .*expected at most \d+ corrections times levels of names"):
+        tj.load_result(out)
+    write_edits(out, replace(edits, steps=steps[:500]))
+    assert len(read_edits(out, parts.count).steps) == 500
+
+
+def test_only_one_saves_at_a_time(out, monkeypatch):
+    monkeypatch.setattr("torchjoint.results.shared_edits.PATIENCE", 0.0)
     parts, before = opened(out)
     with lock(out / f".{FILE}.lock", "busy"), pytest.raises(BusyError, match=r"edits\.json: another program is saving"):
         save_edits(out, before, before, parts)
+
+
+def test_who_saves_waits_for_another_who_saves(out):
+    """Else what the viewer could not save at this moment was saved only with the next correction."""
+    parts, before = opened(out)
+    with ThreadPoolExecutor() as pool:
+        with lock(out / f".{FILE}.lock", "busy"):
+            saved = pool.submit(save_edits, out, replace(before, steps=(A,)), before, parts)
+            time.sleep(0.2)
+            assert not (out / FILE).exists()
+        assert saved.result().steps == opened(out)[1].steps == (A,)
 
 
 def test_corrections_of_the_same_cloud_in_another_order(scene_of, out, tmp_path):

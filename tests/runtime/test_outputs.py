@@ -102,8 +102,9 @@ def test_an_earlier_folder_comes_back(tmp_path, monkeypatch):
         with made.written() as path:
             write(path, "new")
 
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="No space left") as raised:
         end()
+    assert raised.value.filename == str(tmp_path / "out")  # the path that the user knows
     assert text_of(tmp_path / "out") == "old"
     assert list(tmp_path.iterdir()) == [tmp_path / "out"]
 

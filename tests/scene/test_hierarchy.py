@@ -228,6 +228,8 @@ def test_finer_images_need_the_superpoints():
         ({"merges": BY_HAND.merges.t()}, ValueError, "merges: expected shape"),
         ({"merges": BY_HAND.merges + 1}, ValueError, r"merges: expected superpoints in \[0, 4\)"),
         ({"superpoint": torch.tensor([0, 1, 2])}, ValueError, "merges: expected shape .* below 3 superpoints"),
+        ({"merges": torch.tensor([[0, 2], [2, 0], [1, 0]])}, ValueError, "merges: expected each to join two segments"),
+        ({"merges": torch.tensor([[0, 2], [2, 3], [1, 1]])}, ValueError, "merges: expected each to join two segments"),
         ({"heights": BY_HAND.heights.float()}, TypeError, "heights: expected a torch.float64 tensor"),
         ({"heights": BY_HAND.heights * 2}, ValueError, r"heights: expected numbers in \[0, 1\]"),
         ({"heights": BY_HAND.heights * torch.nan}, ValueError, r"heights: expected numbers in \[0, 1\]"),

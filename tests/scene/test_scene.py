@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchjoint import Config, Frame, Scene, superpoints
+from torchjoint import Config, Frame, Scene, load_scene, superpoints
 from torchjoint.masks import from_labels
 from torchjoint.recordings.segment import RecordingOptions
 from torchjoint.scene import Truth
@@ -53,6 +53,11 @@ def test_arrays_of_numpy(channels):
         Frame(np.full((4, 6, 3), None), np.eye(3), np.eye(4))
 
 
+def test_intrinsics_may_be_integers():
+    matrix = np.array([[50, 0, 32], [0, 50, 24], [0, 0, 1]])
+    assert Frame(IMAGE, matrix, POSE).intrinsics.tolist() == matrix.tolist()
+
+
 @pytest.mark.parametrize("shape", [(48, 64), (1, 48, 64)])
 def test_grey_images_are_repeated(shape):
     frame = Frame(torch.full(shape, 0.5), K, POSE)
@@ -90,6 +95,17 @@ def rotation_scaled(factor):
         ({"world_to_camera": rotation_scaled(2)}, ValueError, r"world_to_camera of frame 'f': expected a rigid"),
         ({"world_to_camera": rotation_scaled(-1)}, ValueError, r"expected a rigid transform.*det R = -1"),
         ({"depth": torch.ones(4, 4)}, ValueError, r"depth of frame 'f': expected shape \[48, 64\], got \[4, 4\]"),
+        ({"depth": -torch.ones(48, 64)}, ValueError, r"depth of frame 'f': expected metres above 0 .*, got none"),
+        (
+            {"depth": np.ones((48, 64), np.uint16)},
+            TypeError,
+            "depth of frame 'f': expected metres as float32, got torch.u",
+        ),
+        (
+            {"masks": torch.ones(48, 64, 5).bool()},
+            ValueError,
+            r"masks of frame 'f': expected \[M, H, W\], got \[H, W, M",
+        ),
         ({"labels": torch.ones(48, 64)}, TypeError, r"labels of frame 'f': expected an integer dtype"),
         ({"name": 5}, TypeError, "name: expected a text, got 5"),
         ({"depth": torch.ones(48, 64).to_sparse()}, TypeError, "depth of frame 'f': expected a dense tensor, got one"),
@@ -121,7 +137,7 @@ def test_bad_frames(change, error, message):
         (
             {"points": torch.full((5, 3), 5.4e13)},
             ValueError,
-            r"points: expected coordinates up to 1e\+12 m, got 5\.4e\+13 m",
+            r"points: expected coordinates up to 1e\+12, got 5\.4e\+13",
         ),
         (
             {"points": torch.zeros(5, 3), "colors": torch.ones(5, 3) * 300},
@@ -167,3 +183,13 @@ class TestTruth:
     def test_truth_of_another_size(self):
         with pytest.raises(ValueError, match=r"truth\.points: expected shape \[4\], got \[3\]"):
             Scene(torch.rand(4, 3), truth=Truth(torch.zeros(3, dtype=torch.int64)))
+
+
+@pytest.mark.parametrize("kind", ["tensor", ".npy", ".npz"])
+def test_coordinates_of_16_bits_are_told(tmp_path, kind):
+    """500 m from the origin they are multiples of half a metre."""
+    points = np.random.default_rng(0).uniform(500, 510, (60, 3)).astype(np.float16)
+    np.save(tmp_path / "a.npy", points)
+    np.savez(tmp_path / "a.npz", points=points)
+    with pytest.warns(UserWarning, match=r"torch\.float16 keeps only 0\.5 m this far from the origin"):
+        Scene(torch.from_numpy(points)) if kind == "tensor" else load_scene(tmp_path / f"a{kind}")

@@ -2,10 +2,12 @@
 
 import logging
 import re
+from functools import partial
 
 import pytest
 import torch
 from lidar_scans import HEIGHT, scan
+from tqdm import tqdm
 
 import torchjoint as tj
 from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model, save_boundary_model
@@ -133,8 +135,7 @@ class TestLine:
         assert " mm, noise " in found
 
     def test_of_given_normals(self, caplog, room):
-        normals = torch.zeros_like(room.points)
-        normals[:, 2] = 1
+        normals = torch.nn.functional.normalize(room.points, dim=1)
         assert ", normals given, no colours" in self.line(caplog, AUTO, room.points, normals)
 
     def test_of_the_other_methods(self, caplog, room):
@@ -146,5 +147,16 @@ def test_the_command_line_prints_it(run, tmp_path, capsys, shared):
     settings.append("boundary.detector=gradient")
     run("segment", scan_file, "-o", tmp_path / "out", "--in-view", "--set", *settings)
     line = r"torchjoint: points: 18608 of a turning LiDAR with about 4\d rings \(certain\); step 6 by method scan\n"
-    assert re.search(line, capsys.readouterr().err)
+    told = capsys.readouterr().err
+    assert re.search(line, told)
+    assert told.endswith(f"torchjoint: writing {tmp_path / 'out'}\n")
     assert not logging.getLogger("torchjoint").handlers
+
+
+def test_the_bar_of_step_6_moves(capsys, monkeypatch, room):
+    """Each copy of the cloud has two parts."""
+    monkeypatch.setattr("torchjoint.joint.tqdm", partial(tqdm, mininterval=0, miniters=0))
+    tj.JointSegmenter()(tj.Scene(room.points), progress=True)
+    shown = capsys.readouterr().err
+    assert all(f"points: {round(16.5 * part):3d}%" in shown for part in range(7))
+    assert "points: 100%" in shown

@@ -1,6 +1,9 @@
 """Superpoints of LAS files in tiles: the same as in one piece, as far as can be; files, restarts, errors."""
 
+import os
 import shutil
+import struct
+from contextlib import nullcontext
 
 import laspy
 import numpy as np
@@ -170,6 +173,27 @@ def test_a_cloud_that_changes_meanwhile(cloud, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"mine\.laz: changed while it was segmented; start again"):
         superpoints_of_files(mine, tmp_path / "out.laz", engine="loky:1")
     assert not (tmp_path / "out.laz").exists()
+
+
+def test_another_cloud_with_the_time_of_the_first(cloud, tmp_path, monkeypatch):
+    """A run that was killed does not go on with the tiles of the cloud before."""
+    mine = shutil.copy(cloud, tmp_path / "mine.laz")
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tiles, "_segment", killed)
+    cut = tmp_path / "out.laz.tiles" / "cut.npz"
+    times = []
+    for run_number in range(3):
+        if run_number == 2:
+            status = mine.stat()
+            mine.write_bytes(mine.read_bytes())
+            os.utime(mine, ns=(status.st_atime_ns, status.st_mtime_ns))
+        with pytest.raises(KeyboardInterrupt):
+            superpoints_of_files(mine, tmp_path / "out.laz", engine="loky:1")
+        times.append(cut.stat().st_mtime_ns)
+    assert times[0] == times[1] < times[2]
 
 
 def test_an_earlier_result_comes_back_after_a_kill(cloud, tmp_path, monkeypatch):
@@ -343,6 +367,29 @@ def test_a_tile_tells_which_superpoints_may_go_on(tmp_path):
     assert not task.points.exists()
 
 
+@pytest.mark.parametrize("box", [(0.0, 0.0), (float("nan"), 0.0), (-1e300, 1e300), (1e6, 1e6 + 1)])
+def test_a_header_whose_box_is_wrong(cloud, tmp_path, box):
+    """The points were all in one cell of 1 mm: no tile could be cut, and float32 rounded them by half a metre."""
+    content = bytearray(cloud.read_bytes())
+    struct.pack_into("<6d", content, 179, *(3 * box[::-1]))
+    (tmp_path / "a.laz").write_bytes(content)
+    for name, path in (("whole", cloud), ("wrong", tmp_path / "a.laz")):
+        superpoints_of_files(path, tmp_path / f"{name}.las", tile=7, buffer=1, engine="loky:1")
+    assert torch.equal(labels_of(tmp_path / "wrong.las"), labels_of(tmp_path / "whole.las"))
+
+
+@pytest.mark.parametrize(("byte", "kind"), [(131, "scale"), (155, "offset"), (179, "box")])
+def test_a_header_with_huge_numbers(tmp_path, byte, kind):
+    """Points at 1e300 were one superpoint, in silence; a box of 1e300 was an error that named no file."""
+    path = write_las(tmp_path / "a.las", town(500, 12))
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<d", content, byte, 1e300)
+    path.write_bytes(content)
+    refused = pytest.raises(ValueError, match=r"a\.las: expected coordinates up to 1e\+12, got")
+    with nullcontext() if kind == "box" else refused:
+        assert superpoints_of_files(path, tmp_path / "out.las", engine="loky:1").num_points == 500
+
+
 def test_a_point_that_is_alone_in_its_tile(tmp_path):
     """A bird: a record of one point has gaps that NumPy does not see, and torch refuses."""
     write_las(tmp_path / "town.laz", np.concatenate([town(2_000, 12), [[300.0, 5.0, 80.0]]]))
@@ -408,3 +455,13 @@ def test_processes_and_many_tiles(tmp_path):
     assert (tmp_path / "one.las").read_bytes() == (tmp_path / "two.las").read_bytes()
     whole, labels = tj.superpoints(torch.from_numpy(laspy.read(cloud).xyz.copy())), labels_of(tmp_path / "one.las")
     assert segmentation_covering(labels, whole).symmetric > 0.98
+
+
+def test_colours_of_12_bits_are_told_of_tiles_too(tmp_path):
+    points = town(3000, 20)
+    las = laspy.create(point_format=7, file_version="1.4")
+    las.x, las.y, las.z = np.asarray(points).T[:3]
+    las.red = las.green = las.blue = np.linspace(0, 4095, len(las.x)).astype(np.uint16)
+    las.write(tmp_path / "a.las")
+    with pytest.warns(UserWarning, match=r"colours are at most 4095 of 65535, and .*: are they of 12 bits\?"):
+        superpoints_of_files(tmp_path / "a.las", tmp_path / "b.las")

@@ -4,7 +4,10 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -69,10 +72,20 @@ def test_corrections_are_saved_as_they_are_made(out, tmp_path, monkeypatch):
     monkeypatch.setattr(app, "save_edits", saved)
     viewer._guarded(viewer._change, lambda: viewer.model.name("stool"))
     assert [step.name for step in read_edits(folder, count).steps] == ["stool"]
+    monkeypatch.setattr(viewer, "_draw", lambda: (_ for _ in ()).throw(ValueError("damaged image")))
+    viewer._guarded(viewer._change, lambda: viewer.model.name("couch"))
+    assert [step.name for step in read_edits(folder, count).steps] == ["couch"]
+    assert told[-1] == "damaged image"
     viewer._can_save = False  # what is shown is not what is in the folder
     viewer._guarded(viewer._change, lambda: viewer.model.name("lamp"))
-    assert [step.name for step in read_edits(folder, count).steps] == ["stool"]
+    assert [step.name for step in read_edits(folder, count).steps] == ["couch"]
     viewer.stop()
+
+
+def typed(viewer, text):
+    """As if a page told it."""
+    viewer._panel.name._impl.value = text
+    viewer._on_typed(SimpleNamespace(client=object()))
 
 
 def test_what_is_typed_while_a_name_is_saved_stays(out, tmp_path, monkeypatch):
@@ -80,11 +93,24 @@ def test_what_is_typed_while_a_name_is_saved_stays(out, tmp_path, monkeypatch):
     viewer.model.select((int(viewer.model.table[0]),))
     field, named = viewer._panel.name, viewer.model.name
     monkeypatch.setattr(viewer.model, "name", lambda name: (named(name), setattr(field._impl, "value", f"{name}er")))
-    field.value = "lock"  # which calls viewer._on_name
+    typed(viewer, "lock")
     assert (field.value, *viewer.model.names.values()) == ("locker", "lock")
     monkeypatch.undo()
-    field.value = 201 * "x"  # too long
+    typed(viewer, 201 * "x")  # too long
     assert field.value == "lock"
+    viewer.stop()
+
+
+def test_what_is_typed_while_another_action_works_stays(out, tmp_path):
+    viewer = opened(shutil.copytree(out, tmp_path / "out"), 8990)
+    with ThreadPoolExecutor() as pool, viewer._lock:
+        viewer.model.select((int(viewer.model.table[0]),))
+        for text in ("l", "lock"):
+            pool.submit(typed, viewer, text)
+            time.sleep(0.1)
+        viewer._draw()
+        assert viewer._panel.name.value == ""
+    assert (viewer._panel.name.value, *viewer.model.names.values()) == ("lock", "lock")
     viewer.stop()
 
 
@@ -142,8 +168,54 @@ def test_a_click_at_the_edge_of_the_photo_stays_at_that_edge(out, monkeypatch):
     monkeypatch.setattr(type(viewer.model.parts), "image", lambda *_: superpoints)
     monkeypatch.setattr(viewer, "_on_point", lambda point, _: chosen.append(point))
     for place in ("-1 -1", "-9 0", "5 3", "99 99", f"{10**30} 0"):
-        viewer._panel.bridge = SimpleNamespace(value=f"torchjoint:image {place} 0 1")
-        viewer._on_event(None)
+        viewer._on_event(f"torchjoint:image {place} 0 1", None)
     middle = viewer.model.parts.middle(3)
     assert chosen == [middle, middle, None, None, None]
     viewer.stop()
+
+
+def test_the_photo_goes_to_a_frame_that_sees_the_selected(out, monkeypatch):
+    viewer = opened(out, 8990)
+    seen = {0: [(2, 9), (1, 5)], 1: [(1, 8), (2, 3)], 2: []}
+    monkeypatch.setattr(viewer.model.measures, "frames_of", lambda segment: seen.get(segment, []))
+    monkeypatch.setattr(viewer.model, "select", lambda segments: None)
+    shown = [(viewer._select(segments), viewer._frame_index())[1] for segments in ((), (2,), (0,), (1,))]
+    assert shown == [0, 0, 2, 2]
+    viewer.stop()
+
+
+def test_clicks_while_another_action_works(out):
+    """A large cloud takes a while to draw: of clicks that waited, the last one counted for all."""
+    viewer = opened(out, 8990)
+    segments = np.unique(viewer.model.table)[:3].tolist()
+    with ThreadPoolExecutor() as pool, viewer._lock:
+        for number, segment in enumerate(segments):
+            event = f"torchjoint:row {viewer.model.key(segment)} 1 {number}"
+            pool.submit(setattr, viewer._panel.bridge, "value", event)
+            time.sleep(0.1)
+        assert not viewer.model.selected
+    assert {*viewer.model.selected} == {*segments}
+    viewer.stop()
+
+
+def test_a_page_whose_camera_never_changes_sees_the_whole_cloud(out):
+    """viser tells of the first camera before anything can listen to it."""
+    viewer = opened(out, 8990)
+    camera = SimpleNamespace(aspect=1.5, position=np.ones(3), wxyz=np.array([1.0, 0, 0, 0]), on_update=lambda _: None)
+    page = SimpleNamespace(client_id=7, camera=camera, atomic=nullcontext)
+    for connected in viewer.server._client_connect_cb:
+        connected(page)
+    assert not np.allclose(camera.position, 1)
+    assert viewer._eyes._fitted[7][1] == 1.5
+    viewer.stop()
+
+
+def test_without_images_there_are_no_masks_to_export(out):
+    from torchjoint.viewer.app import Viewer
+
+    for scene, kinds in ((whole := tj.load_result(out).scene, 3), (tj.Scene(whole.points), 1)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            viewer = Viewer(tj.Result.of(tj.JointSegmenter()(scene), scene), port=8990)
+        assert viewer._panel.export.options == ("PLY", "PNG", "COCO")[:kinds]
+        viewer.stop()

@@ -3,6 +3,7 @@
 Chromium is the system's (Debian's package `chromium`), driven by Playwright. Its WebGL runs in software.
 """
 
+import contextlib
 import io
 import json
 import re
@@ -37,6 +38,8 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning"),  # of viser and websockets
     pytest.mark.slow,
 ]
+#: Seconds; this time only ends a test that has failed anyway.
+PATIENCE = 240.0
 # Without the first, WebGL in software is off since Chrome 144, and a page without a cloud would be tested.
 FLAGS = ["--enable-unsafe-swiftshader", "--use-angle=swiftshader", "--no-sandbox"]
 
@@ -65,18 +68,23 @@ def viewer(out, tmp_path):
 
 @pytest.fixture
 def page(browser, viewer):
-    page = browser.new_page(viewport={"width": 1280, "height": 1000})
-    page.goto(viewer.url)
-    page.wait_for_selector("#tj-image")
-    wait(lambda: drawn(page) > 1000)
-    wait(lambda: camera(viewer) is not None)
-    yield page
-    page.close()
+    with contextlib.closing(new_page(browser)) as page:  # also if it never comes to be: it would take time from others
+        page.goto(viewer.url)
+        page.wait_for_selector("#tj-image")
+        wait(lambda: drawn(page) > 1000)
+        wait(lambda: sees_all(viewer))
+        yield page
 
 
-def wait(condition, seconds=90.0):
-    """Until a condition holds; the time only ends a test that has failed anyway."""
-    end = time.monotonic() + seconds
+def new_page(browser, width=1280, height=1000):
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.set_default_timeout(1000 * PATIENCE)
+    return page
+
+
+def wait(condition):
+    """Until a condition holds."""
+    end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end, "it never happened"
         time.sleep(0.1)
@@ -99,6 +107,15 @@ def camera(viewer):
     return clients[0].camera if clients and clients[0].camera.image_height else None
 
 
+def sees_all(viewer):
+    """Whether the page has come to where it shows the whole cloud, in its present size."""
+    (client,) = viewer.server.get_clients().values() or (None,)
+    if client is None or client.client_id not in viewer._eyes._fitted:
+        return False
+    position, aspect = viewer._eyes._fitted[client.client_id]
+    return aspect == client.camera.aspect and np.abs(position - client.camera.position).max() < 1e-3
+
+
 def on_screen(viewer, points):
     """Column and row of points on the page, and their depths."""
     eye = camera(viewer)
@@ -114,7 +131,7 @@ def places(viewer, of_point):
     inside = (u > 20) & (u < 840) & (v > 180) & (v < 980) & (z > 0)
     at, labels = np.stack([u, v], 1)[inside], of_point[inside]
     most, found = {}, {}
-    for place, label, near in zip(at.tolist(), labels.tolist(), cKDTree(at).query_ball_point(at, 15), strict=True):
+    for place, label, near in zip(at.tolist(), labels.tolist(), cKDTree(at).query_ball_point(at, 22), strict=True):
         if len(near) > most.get(label, 0) and (labels[near] == label).all():
             most[label], found[label] = len(near), tuple(place)
     return found
@@ -150,19 +167,27 @@ def panel(page):
     return page.inner_text("#tj-panel")
 
 
+def test_what_is_behind_something_is_dark_beside_it(page):
+    """Depth shading: no colour of a segment is so dark in any light, not even at an edge. WebGL reports no error."""
+    wait(lambda: int((pixels(page).max(2) < 40).sum()) > 50)
+    errors = "document.querySelector('canvas[data-engine]').getContext('webgl2').getError()"
+    assert page.evaluate(errors) == 0
+
+
 def test_a_click_in_the_cloud_lights_the_segment_everywhere(viewer, page):
     (first, here), (second, there) = visible_segments(viewer)[:2]
     expected = superpoint_colors(viewer.model)
-    assert is_like(color_at(page, here), expected[first])
-    assert is_like(color_at(page, there), expected[second])
+    wait(lambda: is_like(color_at(page, here), expected[first]))
+    wait(lambda: is_like(color_at(page, there), expected[second]))
     image = page.get_attribute("#tj-image", "src")
     page.mouse.click(*here)
+    page.mouse.move(1200, 300)  # the id of what is under the mouse hides it
     wait(lambda: "segment" in panel(page) and "Click" not in panel(page))
     row = viewer.model.row(first)
     assert f"segment {row.key}: {row.points} points" in panel(page)
     wait(lambda: color_at(page, there).min() > 180)  # the others fade
-    assert is_like(color_at(page, here), expected[first])
-    assert page.get_attribute("#tj-image", "src") != image
+    wait(lambda: is_like(color_at(page, here), expected[first]))
+    wait(lambda: page.get_attribute("#tj-image", "src") != image)
     open_table(page)
     wait(lambda: "tj-lit" in (page.locator(f'tr[data-key="{row.key}"]').get_attribute("class") or ""))
     # With shift a second one is added; then both become one.
@@ -227,20 +252,20 @@ def scene_points(viewer, label):
 
 def test_the_panel_stands_beside_the_cloud(viewer, page):
     page.set_viewport_size({"width": 1400, "height": 900})
-    wait(lambda: camera(viewer).image_height == 900)
+    wait(lambda: camera(viewer).image_height == 900 and sees_all(viewer))
     left = page.locator("#tj-panel").bounding_box()["x"]
     assert camera(viewer).image_width <= left
     u, v, _ = on_screen(viewer, viewer.result.scene.points.numpy())
     shares = np.stack([u / camera(viewer).image_width, v / 900], 1)
     assert ((shares > 0) & (shares < 1)).all(1).mean() > 0.93  # the whole cloud, as large as the canvas allows
-    assert np.ptp(np.quantile(shares, [0.01, 0.99], axis=0), axis=0).max() > 0.8
+    assert np.ptp(np.quantile(shares, [0.004, 0.996], axis=0), axis=0).max() > 0.85
     photo = page.locator("#tj-image").bounding_box()
     assert photo["y"] + photo["height"] < 900
     open_table(page)
     table = page.locator("#tj-table").locator("xpath=..").bounding_box()
     assert table["y"] + table["height"] < 900
     page.set_viewport_size({"width": 1000, "height": 700})
-    wait(lambda: camera(viewer).image_height == 700)
+    wait(lambda: camera(viewer).image_height == 700 and sees_all(viewer))
 
     def is_wide():
         button = page.get_by_label("Collapse panel area")
@@ -260,10 +285,16 @@ def test_the_row_of_a_selected_segment_is_in_sight(viewer, page):
     open_table(page)
     row = page.locator(f"#tj-table tr[data-key='{rows[-1].key}']")
     wait(lambda: "tj-lit" in (row.get_attribute("class") or ""))
-    listed, shown = page.locator("#tj-table").locator("xpath=..").bounding_box(), row.bounding_box()
-    assert listed["y"] <= shown["y"]
-    assert shown["y"] + shown["height"] <= listed["y"] + listed["height"] + 1
-    assert page.locator("#tj-table").bounding_box()["height"] > listed["height"]  # the list is longer than its window
+
+    def window():
+        return page.locator("#tj-table").locator("xpath=..").bounding_box()
+
+    def is_in_sight():
+        listed, shown = window(), row.bounding_box()
+        return -1 <= shown["y"] - listed["y"] <= listed["height"] - shown["height"] + 1
+
+    wait(is_in_sight)
+    assert page.locator("#tj-table").bounding_box()["height"] > window()["height"]  # the list is longer than its window
 
 
 def test_relations_are_lines_of_the_selected_thing(viewer, page):
@@ -327,7 +358,7 @@ def test_words_find_things(browser, out, tmp_path):
     Embeddings(vectors, labels).save(folder)
     words = {"a mug": vectors[3] + 0.5 * vectors[5], "a mu": torch.ones(2)}
     viewer = Viewer(tj.load_result(folder, edits=False), Shown(folder, text_encoder=words.__getitem__), port=8985)
-    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page = new_page(browser)
     page.goto(viewer.url)
     page.wait_for_selector("#tj-image")
     open_table(page)
@@ -358,7 +389,7 @@ def test_a_click_goes_through_a_camera(viewer, page):
     for frame in viewer.result.scene.frames:
         apex = camera_center(frame.world_to_camera).numpy()
         (u,), (v,), _ = on_screen(viewer, apex[None])
-        point = pick_point(viewer.result.scene.points.numpy(), before, apex - before, 0.5 * viewer._cloud.size)
+        point = pick_point(viewer.result.scene.points.numpy(), before, apex - before, 0.4 * viewer._cloud.size)
         if point is not None and 20 < u < 930 and 180 < v < 980:
             hits.append(((float(u), float(v)), int(viewer.model.table[viewer.model.parts.of_point[point]])))
     assert hits
@@ -480,23 +511,34 @@ def test_what_is_under_the_mouse_is_lit_and_named(viewer, page):
 
 def test_the_photo_is_behind_the_points_until_the_view_turns(viewer, page):
     page.get_by_role("button", name="Stand at this camera").click()
+    wait(lambda: viewer._eyes._arrived)
+    assert viewer._eyes._standing
+    assert viewer._cloud._handles[0].point_size < 0.5 * viewer._cloud._whole[0]
     wait(lambda: (pixels(page)[300:700, 100:900].min(2) > 250).mean() < 0.02)  # no white between the points
     page.mouse.move(500, 500)
     page.mouse.down()
     page.mouse.move(700, 560, steps=5)
     page.mouse.up()
-    wait(lambda: not viewer._standing)
+    wait(lambda: not viewer._eyes._standing)
     wait(lambda: viewer._cloud._handles[0].point_size == viewer._cloud._whole[0])
 
 
-def test_a_phone_in_the_dark(browser, viewer):
+def test_a_phone_in_the_dark(browser, viewer, monkeypatch):
+    dropped, on_event = [], viewer._on_event
+
+    def drop_first(event, client):  # as viser does before it knows the page's camera
+        on_event(event, client) if dropped else dropped.append(event)
+
+    monkeypatch.setattr(viewer, "_on_event", drop_first)
     context = browser.new_context(
         viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True, color_scheme="dark"
     )
     page = context.new_page()
+    page.set_default_timeout(1000 * PATIENCE)
     page.goto(viewer.url)
     wait(lambda: camera(viewer) is not None)
     wait(lambda: viewer.model.pale < 100)
+    assert "dark" in dropped[0]
     assert page.title().endswith("- torchjoint")
     wait(lambda: not page.get_by_role("button", name="Join").is_visible())  # closed: the cloud has the page
 
@@ -520,11 +562,11 @@ def test_the_truth_beside_a_prediction(browser, out, scene_of):
 
     synthetic = scene_of(3)
     viewer = Viewer(with_truth(tj.load_result(out), synthetic.scene), port=8955)
-    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page = new_page(browser)
     page.goto(viewer.url)
     page.wait_for_selector("#tj-image")
     wait(lambda: drawn(page) > 1000)
-    wait(lambda: camera(viewer) is not None)
+    wait(lambda: sees_all(viewer))
     image = page.get_attribute("#tj-image", "src")
     page.locator("xpath=//*[text()='Colour by']/following::input[1]").click()
     page.get_by_role("option", name="truth").click()
@@ -546,7 +588,7 @@ def test_parameters_of_a_run_in_memory(browser, out, scene_of):
     segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
     result = tj.Result.of(segmenter(scene), scene)
     viewer = Viewer(result, Shown(run=LiveRun(segmenter, scene)), port=8960)
-    page = browser.new_page(viewport={"width": 1280, "height": 1400})  # the whole panel, without scrolling
+    page = new_page(browser, 1280, 1400)  # the whole panel, without scrolling
     page.goto(viewer.url)
     page.wait_for_selector("#tj-image")
     page.locator("xpath=//*[starts-with(normalize-space(text()),'Parameters')]/following::input[1]").fill("0.1")
@@ -564,7 +606,7 @@ def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
 
     scene, config = scene_of(3).scene, tj.Config().set(["boundary.detector=gradient"])
     live = LiveView(lambda url: None, share=1.0, port=8970)
-    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page = new_page(browser)
     notes, colors, images = [], [], []
 
     def watch(segmenter, scene):
@@ -573,6 +615,7 @@ def test_a_run_is_shown_while_its_frames_come(browser, scene_of, tmp_path):
             page.goto(live.viewer.url)
             page.wait_for_selector("#tj-image")
             wait(lambda: drawn(page) > 1000)
+            wait(lambda: sees_all(live.viewer))
         note = f"running: {len(segmenter.state.observations)} of 6 frames"
         wait(lambda: note in page.inner_text("#tj-note"))
         segment, place = visible_segments(live.viewer)[0]
@@ -619,10 +662,10 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
     first = segmenter.result(images=False)
     view.camera(frames[1])  # there is no page yet
     view.show(first, frames[:2], "after 2 frames")
-    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page = new_page(browser)
     page.goto(view.viewer.url)
     wait(lambda: drawn(page) > 1000)
-    wait(lambda: camera(view.viewer) is not None)
+    wait(lambda: sees_all(view.viewer))
     wait(lambda: "after 2 frames" in page.inner_text("#tj-note"))
     segment, place = visible_segments(view.viewer)[0]
     page.mouse.click(*place)
@@ -639,7 +682,7 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
     (segment,) = view.viewer.model.selected  # the same thing
     assert view.viewer.model.key(segment) == thing
     assert np.array_equal(superpoint_colors(view.viewer.model)[segment], color)
-    assert f"segment {thing}" in panel(page)
+    wait(lambda: f"segment {thing}" in panel(page))
     place = dict(visible_segments(view.viewer))[segment]
     wait(lambda: is_like(color_at(page, place), color))
     assert page.locator("#tj-image").count() == 0
@@ -663,7 +706,7 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
 
 def test_the_static_page(browser, out, run, tmp_path):
     run("show", out, "--static", tmp_path / "page.html")
-    page = browser.new_page(viewport={"width": 1000, "height": 900})
+    page = new_page(browser, 1000, 900)
     page.goto((tmp_path / "page.html").as_uri())
     page.wait_for_selector("canvas")
     wait(lambda: (np.ptp(pixels(page)[:600], axis=2) > 60).sum() > 3000)

@@ -169,7 +169,7 @@ def test_a_page_of_another_port_reads_nothing(viewer, tmp_path):
         browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
         page = browser.new_page()
         page.goto(f"http://127.0.0.1:{other.server_port}/")
-        page.wait_for_function("document.title != '' && !document.title.includes('127')", timeout=30_000)
+        page.wait_for_function("document.title != '' && !document.title.includes('127')", timeout=240_000)
         assert page.title() == "refused refused refused"
         mine = browser.new_page()
         mine.goto(viewer.url)

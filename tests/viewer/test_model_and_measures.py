@@ -73,6 +73,7 @@ def test_join_split_name_and_undo(model):
     assert model.undo() == "name 'table'"
     assert model.names == {}
     assert model.undo() == "join"
+    assert {*model.selected} == {first, second}
     np.testing.assert_array_equal(model.table, start)
     assert not model.undo()
     model.select((first,))
@@ -302,8 +303,9 @@ def test_what_was_clicked_becomes_one_thing(picked, tmp_path):
 
 def test_clicks_begin_at_the_shown_level(picked):
     picked.set_granularity(0.0)
-    picked.click(0)
-    assert picked.table.tolist() == [0] * 6
+    for point in (0, 1):  # they are in one segment of the stored level, too
+        picked.click(point)
+        assert picked.table.tolist() == [0] * 6
     picked.click(5, False)
     assert picked.table.tolist() == [0, 0, 0, 0, 4, 4]
     picked.set_granularity(1.0)
@@ -314,6 +316,11 @@ def test_clicks_begin_at_the_shown_level(picked):
     picked.click(1)
     assert picked.selected == (0,)  # with its corrections
     assert picked.table.tolist() == [0, 0, 2, 3, 4, 5]
+    picked.select((0, 4))
+    picked.join()
+    for point in (1, 4):
+        picked.click(point)
+        assert picked.table.tolist() == [0, 0, 2, 3, 0, 5]
 
 
 def test_words_find_segments_of_any_level(picked):

@@ -18,6 +18,7 @@ from folder_files import write_folder, write_truth
 import torchjoint as tj
 from torchjoint.cli.show import _open_page
 from torchjoint.results.embeddings import Embeddings
+from torchjoint.results.labelled_file import write_labelled
 from torchjoint.results.page import write_page
 from torchjoint.viewer.truth import read_labelled_cloud, with_truth
 
@@ -36,6 +37,8 @@ def test_the_truth_is_in_the_order_of_the_result(scene_of, tmp_path):
     truth = with_truth(result, scene).scene.truth
     assert torch.equal(truth.points, synthetic.point_labels[keep])
     assert torch.equal(truth.images[0], synthetic.image_labels[4])
+    with pytest.raises(ValueError, match="expected the points of the result; recording lacks 1999 of them"):
+        with_truth(result, replace(scene, points=scene.points + 0.01))
     with pytest.raises(ValueError, match="has no frame 'frame-0000"):
         with_truth(result, scene.select_frames([1]))
     with pytest.raises(ValueError, match="expected a scene with ground truth"):
@@ -64,7 +67,28 @@ def test_a_labelled_survey_can_be_shown(run, tmp_path):
     run("superpoints", tmp_path / "a.las", "-o", tmp_path / "b.laz", "--no-picture")
     found = np.asarray(laspy.read(tmp_path / "b.laz")["superpoint"])
     assert read_labelled_cloud(tmp_path / "b.laz").points.tolist() == found.tolist()
+    write_labelled(tmp_path / "a.las", tmp_path / "c.las", {"label": np.arange(500)})
+    run("superpoints", tmp_path / "c.las", "-o", tmp_path / "d.las", "--no-picture")
+    assert read_labelled_cloud(tmp_path / "d.las").points.tolist() == found.tolist()
     run("show", tmp_path / "b.laz", "--static", tmp_path / "page.html")
+
+
+@pytest.mark.parametrize(
+    ("labels", "told"),
+    [
+        (np.arange(40) + 0.5, "an integer dtype, got torch.float64"),
+        (np.full(40, np.nan, np.float32), "an integer dtype, got torch.float32"),
+        (np.arange(40).astype(str), "numbers, got an array of <U"),
+        (np.arange(40)[:, None], r"shape \[40\], got \[40, 1\]"),
+        (np.full(40, 1 << 63, np.uint64), r"integers below 2\^63"),
+    ],
+)
+def test_labels_of_a_file_are_whole_numbers(tmp_path, labels, told):
+    """Others were cut to integers in silence."""
+    path = tmp_path / "a.npz"
+    np.savez(path, points=np.random.default_rng(0).random((40, 3)), labels=labels)
+    with pytest.raises((TypeError, ValueError), match=rf"a\.npz: labels: expected {told}"):
+        read_labelled_cloud(path)
 
 
 def test_a_large_cloud_says_how_many_points_are_shown(tmp_path):
@@ -78,8 +102,8 @@ def test_a_large_cloud_says_how_many_points_are_shown(tmp_path):
     ("arguments", "message"),
     [
         (["--granularity", 2], "--granularity: expected a number from 0"),
-        (["--up", 0, 0, 0], "--up: expected a direction"),
-        (["--truth"], r"--truth: expected the recording of this result, test"),
+        (["--up", 0, 0, 0], "--up: expected a direction, got zeros"),
+        (["--truth"], r"--truth: expected the recording of this result, .*test"),
     ],
 )
 def test_errors(run, out, tmp_path, arguments, message):

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import io
-import re
+import os
 from collections.abc import Iterable, Sequence
-from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -18,7 +15,7 @@ from torchjoint.datasets.files.clouds import SUFFIXES
 from torchjoint.datasets.formats import FORMATS
 from torchjoint.recordings.segment import RecordingOptions
 from torchjoint.results.folder import is_part
-from torchjoint.runtime.outputs import Output, check_no_input
+from torchjoint.runtime.outputs import Output, check_no_input, is_as_written
 
 
 def parameters(
@@ -103,36 +100,20 @@ def output_files_in(out: Path, kinds: tuple[str, ...], overwrite: bool, inputs: 
     if out.is_symlink():
         raise FileExistsError(f"{out}: expected no link, and a folder; choose another name")
     made = Output(out, overwrite=overwrite, inputs=inputs)
-    if out.exists() and not (out.is_dir() and all(_is_kind(file, kinds) for file in out.iterdir())):
-        raise FileExistsError(f"{out}: holds more than {', '.join(kinds)} files of an export; it is kept")
+    if out.exists() and not is_as_written(out):
+        raise FileExistsError(f"{out}: holds more than {', '.join(kinds)} files of an export, or changed ones")
     return made
 
 
 def _check_parent(out: Path, option: str) -> None:
     if not out.parent.is_dir():
         raise FileNotFoundError(f"{option}: {out.parent} is no folder")
+    if not os.access(out.parent, os.W_OK | os.X_OK):  # else a long run would end with it
+        raise PermissionError(f"{option}: {out}: the folder {out.parent} cannot be written; choose another output")
+    if out.name == "-":
+        raise ValueError(f"{option}: expected the name of a file or folder, got -, which stands for no stream here")
     if is_part(out):
         raise ValueError(f"{option}: expected a path outside of the parts of a result, got {out}")
-
-
-#: What the names, or else the first bytes, of files in folders of exports are like, by suffix.
-_NAMES = {".ply": r"\d{6}.*", ".pt": ".*_masks", ".npy": ".*_openmask3d_features"}
-_STARTS = {".txt": b"predicted_masks/", ".json": b'{"image": {"image_id"'}
-
-
-def _is_kind(file: Path, kinds: tuple[str, ...]) -> bool:
-    """Whether an earlier run wrote a file, or the folder of ScanNet's masks: others may have the same suffix."""
-    if file.is_dir():
-        return file.name == "predicted_masks" and all(
-            re.fullmatch(r".*_\d{3,}\.txt", mask.name) for mask in file.iterdir()
-        )
-    if file.suffix not in kinds or not file.is_file():
-        return False
-    if file.suffix in _NAMES:
-        return re.fullmatch(_NAMES[file.suffix], file.stem, re.DOTALL) is not None
-    with file.open("rb") as stream:
-        start = _STARTS[file.suffix]
-        return stream.read(len(start)) in (start, b"")
 
 
 @dataclass(frozen=True)
@@ -154,23 +135,3 @@ class Reading(RecordingOptions):
 #: The command line's defaults.
 AS_IT_IS = Reading()
 FlatReading = tyro.conf.OmitArgPrefixes[Reading]
-
-
-def completion(shell: tyro.conf.Positional[Literal["bash", "zsh"]]) -> None:
-    """Prints a script for a shell; docs/installation.md says where it belongs.
-
-    Args:
-        shell: bash or zsh.
-    """
-    from torchjoint.cli.main import COMMANDS
-
-    functions = {}
-    for name, command in COMMANDS.items():
-        module, _, function = command.function.partition(":")
-        functions[name] = getattr(import_module(module), function)
-    written = io.StringIO()
-    with redirect_stdout(written), suppress(SystemExit):
-        tyro.extras.subcommand_cli_from_dict(functions, prog="torchjoint", args=["--tyro-print-completion", shell])
-    # The script offers each line of a description as a word.
-    for line in written.getvalue().splitlines():
-        print(line.replace("\\n", " ") if line.startswith("COMPLETION_SPEC") else line)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from importlib.resources import files
 from pathlib import Path
 
 from torchjoint import metrics
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
-from torchjoint.cli.output import printed_log, summarize
+from torchjoint.cli.output import printed_log
+from torchjoint.cli.segment import segmented_and_told
 from torchjoint.cli.show import live_view, show_result
-from torchjoint.recordings import RecordingOptions, segment_recording
+from torchjoint.recordings import RecordingOptions
 from torchjoint.runtime.messages import say
 
 #: The recording: a rendered room, in the format of torchjoint/datasets/formats/folder.py, with its truth.
@@ -31,21 +31,10 @@ def demo(
     view = live_view(show)
     say(f"segmenting {RECORDING}", flush=True)
     with printed_log():
-        segmented = segment_recording(
-            RECORDING,
-            out,
-            parameters.config(out),
-            RecordingOptions(),
-            overwrite=overwrite,
-            progress=sys.stderr.isatty(),
-            watch=view,
-            allow_import=True,
-        )
+        segmented = segmented_and_told(RECORDING, out, parameters, RecordingOptions(), overwrite=overwrite, watch=view)
     if segmented is None:
-        say(f"{out}: an earlier run was killed after it wrote the result; this result is now in its place")
         return
     result, segmenter, scene = segmented
-    summarize(result, out)
     if scene.truth is not None and scene.truth.points is not None:
         f = metrics.objects_and_parts(result.points, scene.truth.points).f
         covering = metrics.segmentation_covering(result.points, scene.truth.points).symmetric

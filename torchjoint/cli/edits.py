@@ -6,13 +6,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import tyro
 
 from torchjoint.results.boxes import read_boxes
 from torchjoint.results.edits import FILE, read_edits
 from torchjoint.results.folder import load_result, parts_of
 from torchjoint.results.parts import Parts, edited
-from torchjoint.results.shared_edits import edits_of_boxes, edits_of_points, read_point_labels, save_edits
+from torchjoint.results.shared_edits import (
+    edits_of_boxes,
+    edits_of_names,
+    edits_of_points,
+    read_names,
+    read_point_labels,
+    save_edits,
+)
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import check_no_input
 
@@ -32,23 +40,32 @@ def edits(
         action: import.
         result: folder that `torchjoint segment` wrote, from which the file was exported, at its own level.
         file: .json of labelCloud (centroid_abs); .json of Segments.ai, a label of points or cuboids; .json of CVAT
-            (annotations/default.json of format Datumaro 3D); or .txt of OpenPCDet's custom data sets.
+            (annotations/default.json of format Datumaro 3D); .txt of OpenPCDet's custom data sets; or .csv of `export`,
+            with names that you have filled in.
     """
     check_no_input(file, parts_of(result), "FILE")
     stored = load_result(result, edits=False)
     parts = Parts(stored)
     before = read_edits(result, parts.count)
-    labels = read_point_labels(file, len(stored.points))
-    if labels is not None:
+    labels, corrected = read_point_labels(file, len(stored.points)), edited(stored, before)
+    if (names := read_names(file, corrected)) is not None:
+        steps = edits_of_names(corrected, names, parts.of_point)
+        say(f"{len(steps)} names changed")
+    elif labels is not None:
         steps, others = edits_of_points(parts, before, labels)
         kinds = [step.kind for step in steps]
         say(f"labels of points: {kinds.count('gather')} things gathered, {kinds.count('name')} names changed")
+        table = parts.table(before)[parts.of_point]
+        if stayed := len(np.setdiff1d(table, table[labels.of_point > 0])):
+            say(f"{stayed} things have no labelled point: they stay; join them in the viewer")
         if others:
             say(f"{others} points stay with their superpoint, of which most points have another label")
     else:
         boxes = read_boxes(file)
-        steps, joined, named, empty = edits_of_boxes(edited(stored, before), boxes, parts.of_point)
+        steps, joined, named, empty, stayed = edits_of_boxes(corrected, boxes, parts.of_point)
         say(f"{len(boxes)} boxes: {joined} things joined others, {named} names changed")
+        if stayed:
+            say(f"{stayed} things whose box was deleted lie in no other box, and stay")
         if empty:
             say(f"{len(empty)} boxes are those of no thing, such as box {empty[0]}; split in the viewer")
     if steps:

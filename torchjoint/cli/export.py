@@ -6,43 +6,38 @@ import warnings
 from pathlib import Path
 from typing import Annotated, Literal
 
+import torch
 import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
 from torchjoint.cli.output import at_level
 from torchjoint.datasets.files import las
+from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint
+from torchjoint.results.boxes import LEVEL, upright_points
 from torchjoint.results.exports import FORMATS, SUFFIXES
 from torchjoint.results.exports.boxes import export_geojson, export_labelcloud
 from torchjoint.results.folder import load_result, parts_of, read_origin
 from torchjoint.results.labelled_file import label_file
 from torchjoint.results.mask_report import select_masked
+from torchjoint.results.upright import up_direction
 from torchjoint.runtime.messages import say
 
 #: What a folder of a format has in it.
 _IN_FOLDER = {"sam": (".json",), "ply": (".ply",), "scannet": (".txt",), "openmask3d": (".pt", ".npy")}
 
+#: What has boxes that turn about z alone.
+_BOXES = ("openpcdet", "labelcloud", "segmentsai-cuboids", "cvat")
+
+Format = Literal[
+    "coco", "sam", "ply", "las", "npz", "csv", "geojson", "scannet", "masks", "openmask3d", "graph", "openpcdet",
+    "labelcloud", "segmentsai", "segmentsai-cuboids", "cvat",
+]  # fmt: skip
+
 
 def export(
     result: tyro.conf.Positional[Path],
-    format: Literal[
-        "coco",
-        "sam",
-        "ply",
-        "las",
-        "npz",
-        "csv",
-        "geojson",
-        "scannet",
-        "masks",
-        "openmask3d",
-        "graph",
-        "openpcdet",
-        "labelcloud",
-        "segmentsai",
-        "segmentsai-cuboids",
-        "cvat",
-    ],
+    format: Format,
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     granularity: float | None = None,
     only_masked: bool = False,
@@ -61,11 +56,12 @@ def export(
             pred_score and pred_classes; openmask3d: SCENE_masks.pt and the saved embeddings,
             SCENE_openmask3d_features.npy; graph: what stands on what, as "relations" in RESULT/segments.json, without
             corrections; openpcdet, labelcloud,
-            segmentsai-cuboids, cvat: upright boxes with names, for networks of detection and for annotation;
+            segmentsai-cuboids, cvat: upright boxes with names, for networks of detection and for annotation, and
+            OUT.ply, the cloud turned, if z is not up in RESULT;
             segmentsai: the label of each point, for annotation (`torchjoint edits import` brings boxes and labels
             back). coco, sam and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
-            the format's suffix.
+            the format's suffix (.laz if RESULT is of a .laz).
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without corrections by hand; not with
             method paper.
         only_masked: only what the masks of the run show: segments that lie in masks with at least half of their pixels.
@@ -84,12 +80,13 @@ def export(
     if only_masked:
         loaded = select_masked(result, loaded)
     loaded = at_level(result, loaded, granularity)
-    suffix = SUFFIXES.get(format, "")
+    is_laz = format == "las" and read_origin(result).scene.lower().endswith(".laz")
+    suffix = ".laz" if is_laz else SUFFIXES.get(format, "")
     out = out or Path(f"{result.resolve().name}-{format}{suffix}")
-    inputs = parts_of(result)
-    made = (
-        output_file(out, overwrite, inputs) if suffix else output_files_in(out, _IN_FOLDER[format], overwrite, inputs)
-    )
+    inputs, kinds = parts_of(result), _IN_FOLDER.get(format)
+    made = output_files_in(out, kinds, overwrite, inputs) if kinds else output_file(out, overwrite, inputs)
+    is_turned = format in _BOXES and float(up_direction(loaded.scene)[2]) < LEVEL
+    turned = output_file(out.with_suffix(".ply"), overwrite, [*inputs, out]) if is_turned else None
     with made.written() as path:
         if format == "labelcloud":
             export_labelcloud(path, loaded, out.with_suffix(".ply"))
@@ -101,6 +98,11 @@ def export(
         else:
             FORMATS[format](path, loaded)
     say(out)
+    if turned is not None:
+        with turned.written() as path:
+            points = torch.from_numpy(upright_points(loaded.scene)).to(loaded.scene.points.dtype)
+            write_cloud(path, points, loaded.scene.colors)
+        say(f"{turned.path}: the cloud turned so that z is up, to which the boxes belong")
 
 
 def _survey(result: Path) -> Path | None:

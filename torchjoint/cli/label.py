@@ -10,6 +10,7 @@ import tyro
 from torchjoint.cli.arguments import output_file, output_files_in
 from torchjoint.cli.output import at_level
 from torchjoint.datasets.files import las
+from torchjoint.datasets.files.clouds import SUFFIXES
 from torchjoint.results.folder import load_result, parts_of
 from torchjoint.results.labelled_file import label_file, part_files
 from torchjoint.runtime.messages import say
@@ -41,7 +42,10 @@ def label(
         overwrite: replace OUT; a folder must hold nothing but the .ply files of an earlier run.
     """
     loaded = at_level(result, load_result(result), granularity)
-    is_file = out.suffix.lower() in (".ply", ".glb", *las.SUFFIXES)
+    kinds = ".ply", ".glb", *las.SUFFIXES
+    is_file = out.suffix.lower() in kinds
+    if not is_file and out.suffix.lower() in SUFFIXES and not out.is_dir():
+        raise ValueError(f"-o: expected a file that ends in {', '.join(kinds)}, or a folder, got {out}")
     inputs = (file, *parts_of(result))
     made = output_file(out, overwrite, inputs) if is_file else output_files_in(out, (".ply",), overwrite, inputs)
     if not name.isidentifier():

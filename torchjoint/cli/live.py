@@ -1,7 +1,8 @@
-"""torchjoint live: plays a recording at its camera's speed, and segments what has been seen so far."""
+"""torchjoint live: plays a recording, and segments what has been seen so far."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -13,6 +14,7 @@ from torchjoint.cli.arguments import DEFAULTS, Flat, OptionalOut, output_file, r
 from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import load_scene
+from torchjoint.datasets.fusion import warn_of_poses
 from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
 from torchjoint.recordings.playing import Played, computed_beside, play
 from torchjoint.recordings.segment import fingerprints, tell_if_changed
@@ -23,6 +25,7 @@ from torchjoint.results.output_folder import output_folder
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output, check_apart
 from torchjoint.scene import Frame, Scene
+from torchjoint.scene.frame import PoseWarning
 from torchjoint.scene.scene import subset
 
 if TYPE_CHECKING:
@@ -33,7 +36,7 @@ def live(
     scene: tyro.conf.Positional[Path],
     out: OptionalOut = None,
     parameters: Flat = DEFAULTS,
-    rate: float | None = 30.0,
+    rate: float | None = None,
     every: int = 0,
     show: bool = False,
     rerun: Path | None = None,
@@ -46,7 +49,7 @@ def live(
     time_limit: float = 0.02,
     overwrite: bool = False,
 ) -> None:
-    """Plays a recording with depth as its camera took it, segments what has been seen, and writes the last result.
+    """Plays a recording with depth, segments what has been seen, and writes the last result.
 
     The cloud grows with the frames; a cloud of the recording is not used. What becomes of things is printed.
 
@@ -54,7 +57,8 @@ def live(
         scene: folder of frames with depth, or a ROS recording; docs/your_data.md lists the layouts.
         out: folder for the last result, as of `torchjoint segment`, with the keyframes; default: NAME-live.
         parameters: parameters of the method.
-        rate: frames a second; frames for which there is no time are dropped. "None": all frames, as fast as possible.
+        rate: frames a second, such as 30, to try what a camera would get: frames for which there is no time are
+            dropped. Default: all frames, as fast as possible.
         every: compute the things after so many frames, besides after the last one; 0: only then, with --show one time
             after the other. It takes seconds, while frames go on.
         show: open a page in the browser in which the things appear, keep their colours, and can be clicked; at the end
@@ -87,8 +91,11 @@ def live(
         recording = load_scene(scene, topics=dict(read_topics(topics)), time_limit=time_limit, fuse=False)
         if not len(recording.frames):
             raise ValueError(f"scene: {scene}: expected frames with depth, got a cloud without frames")
+        warn_of_poses(recording.frames, str(scene))
         results = _Results(segmenter, recording.frames, view, log)
-        played = _play(results, rate, every or int(show))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PoseWarning)  # the segmenter would say it again
+            played = _play(results, rate, every or int(show))
         result = results.compute(len(recording.frames), is_last=True)
         seen = recording.select_frames(played.keyframes)
         tell_if_changed(scene, None, out, before)

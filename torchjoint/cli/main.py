@@ -27,18 +27,18 @@ PIPE_CLOSED, STOPPED = 141, 130
 
 
 class Command(NamedTuple):
-    """One command."""
+    """One command: the function of its name, with _ for -, in the module of this name."""
 
-    function: str  #: module:function
     help: str  #: what it does, in one line
     example: str = ""  #: arguments of a common call
+    module: str = ""  #: the function's module, if it has another name
 
 
 def run(program: str, commands: Mapping[str, Command], description: str, interrupted: str) -> None:
     """Runs the command that the command line names; prints user errors and warnings as one line.
 
     Args:
-        program: name of the program, and of its distribution.
+        program: name of the program, and of its distribution; the commands are in the folder cli of its package.
         commands: by name.
         description: for `--help`.
         interrupted: the message after Ctrl-C about commands that can be resumed.
@@ -49,14 +49,21 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
             os.set_inheritable(nothing.fileno(), True)  # for workers
     if isinstance(sys.stdout, io.TextIOWrapper):  # a name may have letters that the terminal lacks
         sys.stdout.reconfigure(errors="backslashreplace")
-    warnings.formatwarning = lambda message, *_, **__: f"{program}: warning: {on_terminal(str(message))}\n"
+    told = set()
+
+    def once(message: Warning | str, *_: object, **__: object) -> str:  # each frame may give the same warning
+        line = "" if str(message) in told else f"{program}: warning: {on_terminal(str(message))}\n"
+        told.add(str(message))
+        return line
+
+    warnings.formatwarning = once
     if (cache := cache_folder()) is not None:  # else matplotlib writes its list of fonts to the home folder
         os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
     names = argparse.ArgumentParser(program, description=description, formatter_class=argparse.RawTextHelpFormatter)
     names.add_argument("-V", "--version", action="version", version=f"{program} {version(program)}")
-    chosen = names.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
+    listed = names.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
     for name, command in commands.items():
-        chosen.add_parser(name, help=command.help, add_help=False)
+        listed.add_parser(name, help=command.help, add_help=False)
     if not sys.argv[1:]:
         names.print_help()
         return
@@ -65,8 +72,13 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
             names.error(f"no command {word!r}; did you mean {similar[0]!r}?")
     try:
         command, arguments = names.parse_known_args(sys.argv[1:2])[0].command, sys.argv[2:]
-        module, _, function = commands[command].function.partition(":")
-        _call(getattr(import_module(module), function), f"{program} {command}", arguments, commands[command].example)
+        try:
+            os.getcwd()
+        except FileNotFoundError as error:  # torch would find its own library no more, and abort
+            raise FileNotFoundError("the current folder was deleted; change to another one") from error
+        name, chosen = command.replace("-", "_"), commands[command]
+        module = import_module(f"{program.replace('-', '_')}.cli.{chosen.module or name}")
+        _call(getattr(module, name), f"{program} {command}", arguments, chosen.example)
         sys.stdout.flush()  # here, where an error of a closed pipe can still be handled
     except BrokenPipeError:  # `torchjoint parameters | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -122,38 +134,17 @@ def _tell(program: str, error: Exception) -> NoReturn:
 
 
 COMMANDS = {
-    "demo": Command("torchjoint.cli.demo:demo", "segments a rendered room, and scores it; needs no data"),
-    "segment": Command(
-        "torchjoint.cli.segment:segment",
-        "segments a recording: posed frames, with or without a cloud",
-        "my_recording -o result",
-    ),
-    "batch": Command(
-        "torchjoint.cli.batch:batch", "segments any number of recordings over many workers", "scans/* -o results"
-    ),
-    "live": Command(
-        "torchjoint.cli.live:live",
-        "plays a recording with depth, and segments what was seen so far",
-        "my_recording --show",
-    ),
-    "superpoints": Command(
-        "torchjoint.cli.superpoints:superpoints",
-        "cuts a cloud of any size into superpoints",
-        "cloud.laz -o superpoints.laz",
-    ),
-    "show": Command("torchjoint.cli.show:show", "shows a result in the browser", "result"),
-    "export": Command(
-        "torchjoint.cli.export:export", "writes a result in the format of another tool", "result --format coco"
-    ),
-    "edits": Command("torchjoint.cli.edits:edits", "brings corrections of another program back into a result"),
-    "label": Command(
-        "torchjoint.cli.label:label",
-        "puts labels into the file of a cloud, a mesh or Gaussian splats",
-        "result site.laz -o labelled.laz",
-    ),
-    "formats": Command("torchjoint.cli.arguments:formats", "lists the formats of recordings that can be read"),
-    "parameters": Command("torchjoint.cli.arguments:parameters", "prints the parameters as tables"),
-    "completion": Command("torchjoint.cli.arguments:completion", "prints a script that completes commands in a shell"),
+    "demo": Command("segments a rendered room, and scores it; needs no data"),
+    "segment": Command("segments a recording: posed frames, with or without a cloud", "my_recording -o result"),
+    "batch": Command("segments any number of recordings over many workers", "scans/* -o results"),
+    "live": Command("plays a recording with depth, and segments what was seen so far", "my_recording --show"),
+    "superpoints": Command("cuts a cloud of any size into superpoints", "cloud.laz -o superpoints.laz"),
+    "show": Command("shows a result in the browser", "result"),
+    "export": Command("writes a result in the format of another tool", "result --format coco"),
+    "edits": Command("brings corrections of another program back into a result"),
+    "label": Command("puts labels into the file of a cloud, a mesh or Gaussian splats", "result site.laz -o out.laz"),
+    "formats": Command("lists the formats of recordings that can be read", module="arguments"),
+    "parameters": Command("prints the parameters as tables", module="arguments"),
 }
 
 DESCRIPTION = """\

@@ -56,7 +56,8 @@ def summarize(result: Segmentation, out: Path) -> None:
     say(f"{sum(parts.values()):.1f} seconds: {_listed(parts)}")
     say(f"segmenting, added up over threads: {_listed(result.seconds)}")
     if (masks := count_masks(out)) is not None:
-        say(f"masks: {masks[0]} of {masks[1]} became a segment (IoU at least .5); masks.json tells of each")
+        alone = f", {masks[1]} one of their image alone" if masks[1] else ""
+        say(f"masks: {masks[0]} of {masks[2]} became a segment{alone} (IoU at least .5); masks.json tells of each")
     files = ["overview.png", "points.ply", "points.npz", "segments.json", "cameras.json", "run.yaml", "hierarchy.npz"]
     folders = [f"{one}/" for one in ("images", "images_color", "inputs", "pieces")]
     folders = [one for one in folders if len(result.images) and (out / one).is_dir()]

@@ -5,15 +5,16 @@ from __future__ import annotations
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
 
-from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, OptionalOut
+from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, OptionalOut, Parameters
 from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import live_view, show_result
 from torchjoint.engine import open_engine
-from torchjoint.recordings import segment_recording
+from torchjoint.recordings import RecordingOptions, segment_recording
+from torchjoint.recordings.segment import Segmented
 from torchjoint.runtime.messages import say
 
 
@@ -54,22 +55,21 @@ def segment(
     """
     out, view = out or Path(f"{scene.resolve().stem}-result"), live_view(show)
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
-        segmented = segment_recording(
-            scene,
-            out,
-            parameters.config(out),
-            reading.options(),
-            masks=masks,
-            without_masks=without_masks,
-            overwrite=overwrite,
-            memory=memory,
-            engine=workers,
-            progress=sys.stderr.isatty(),
-            watch=view,
-            allow_import=True,
-        )
+        of_masks = {"masks": masks, "without_masks": without_masks}
+        of_run = {"overwrite": overwrite, "memory": memory, "engine": workers, "watch": view}
+        segmented = segmented_and_told(scene, out, parameters, reading.options(), **of_masks, **of_run)
+    if segmented is not None:
+        show_result(out, view, segmented.segmenter, segmented.scene)
+
+
+def segmented_and_told(
+    scene: Path, out: Path, parameters: Parameters, options: RecordingOptions, **more: Any
+) -> Segmented | None:
+    """Segments a recording and prints what came out; `more`: of :func:`~torchjoint.recordings.segment_recording`."""
+    config, progress = parameters.config(out), sys.stderr.isatty()
+    segmented = segment_recording(scene, out, config, options, progress=progress, allow_import=True, **more)
     if segmented is None:
         say(f"{out}: an earlier run was killed after it wrote the result; this result is now in its place")
-        return
-    summarize(segmented.result, out)
-    show_result(out, view, segmented.segmenter, segmented.scene)
+    else:
+        summarize(segmented.result, out)
+    return segmented

@@ -8,6 +8,7 @@ import tempfile
 import webbrowser
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from html import escape
 from importlib import import_module
@@ -27,6 +28,7 @@ from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Scene
+from torchjoint.scene.checks import as_direction
 from torchjoint.scene.hierarchy import check_granularity
 
 if TYPE_CHECKING:
@@ -64,23 +66,22 @@ def show(
             embeddings of OUT; the page then finds things by words.
         overwrite: replace the file of --static.
     """
-    if up is not None and not any(up):
-        raise ValueError("--up: expected a direction, got 0 0 0")
-    direction = None if up is None else torch.tensor(up, dtype=torch.float64)
     if not is_there(out):
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
     is_folder = not has_file(out)
     page = None if static is None else output_file(static, overwrite, parts_of(out), "--static")
     result = _read(out, truth)
+    if up is not None:
+        result = replace(result, scene=replace(result.scene, up=as_direction(torch.tensor(up), "--up")))
     if granularity is not None:
         check_granularity(granularity, "--granularity")
         if result.hierarchy is None:
             raise ValueError(f"--granularity: expected a result with levels, got {out} with one")
     if page is not None:
-        _write_static(page, result, out if is_folder else None, granularity, direction)
+        _write_static(page, result, out if is_folder else None, granularity)
     else:
         encoder = None if text_encoder is None else _text_encoder(text_encoder, result)
-        view = {"granularity": granularity, "up": direction, "host": host, "port": port}
+        view = {"granularity": granularity, "host": host, "port": port}
         _serve(result, out if is_folder else None, encoder, open_browser, **view)
 
 
@@ -135,15 +136,13 @@ def _scene_of(out: Path) -> Scene:
     return load_scene(recording, cloud=next(iter(sorted(out.glob("cloud-*mm.ply"))), None))
 
 
-def _write_static(
-    page: Output, result: Result, folder: Path | None, granularity: float | None, up: Tensor | None
-) -> None:
+def _write_static(page: Output, result: Result, folder: Path | None, granularity: float | None) -> None:
     from torchjoint.results.page import write_page
     from torchjoint.viewer.shown import Shown
 
     edits = Shown(folder).edits(result, granularity)
     with page.written() as path:
-        shown = write_page(path, result, up, edits)
+        shown = write_page(path, result, edits)
     say(page.path if shown == len(result.points) else f"{page.path}: {shown} of {len(result.points)} points")
 
 

@@ -15,13 +15,19 @@ from torchjoint.cli.arguments import output_file
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.las import SUFFIXES
-from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.datasets.files.ply import read_records, write_bytes, write_cloud
 from torchjoint.oversegmentation import superpoints as segment
+from torchjoint.results.figures import cloud_figure
+from torchjoint.results.render import label_colors
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.messages import say
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import kept_points
 from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.run import is_las
+
+#: Name of the labels in a .ply, as in a .las.
+NAME = "superpoint"
 
 
 def superpoints(
@@ -43,20 +49,20 @@ def superpoints(
     Args:
         cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes), .xyz, .txt, .asc, .csv, .pts, .las, .laz or
             .e57 file, or a folder of .las and .laz files. Preset segmentator uses the triangles of a .ply mesh.
-        out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply has the points, a colour
-            for each superpoint, a property `label`, and the triangles of a mesh. A .npy has the labels, int64. A .npz
-            has the arrays points, labels, and, if there are any, colors and faces. A .las or .laz has all data of the
-            cloud's file, and a dimension `superpoint`; it is the default for .las and .laz clouds, and not possible for
-            others. For a folder of clouds, OUT is a folder.
+        out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply, .las or .laz has
+            all data of a cloud's file of its kind, and a property or dimension `superpoint`; of other clouds a .ply has
+            points, a colour for each superpoint, the triangles of a mesh. A .npy has the labels, int64. A .npz has the
+            arrays points, labels, and, if there are any, colors and faces. .laz is the default for .las and .laz
+            clouds, which are needed for it. For a folder of clouds, OUT is a folder.
         preset: default, scan or segmentator, or a YAML file of your own.
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
         viewpoint: x y z of the sensor, metres; normals then point outward, so that convex and concave edges differ.
         columns: numbers per point in a .bin file; default: 4, or 5 for .pcd.bin. Or a letter for each column of a .bin,
             .npy, .xyz or .txt file: x y z, r g b, nnn (a normal), any other to leave it out: xyzrgbl.
-        drop_invalid: leave out the points that are NaN or infinite, and tell their number; in a .npy their label
-            is -1. Else they are an error.
-        picture: a picture of the cloud and its superpoints stands next to OUT (not if OUT is .las or .laz), unless
-            this is given.
+        drop_invalid: leave out the points that are NaN or infinite, and tell their number; in a .npy, or a
+            .ply of a .ply, they are -1. Else they are an error.
+        picture: OUT.png, a picture of the cloud and its superpoints, stands next to OUT (not if OUT is .las or
+            .laz), unless this is given.
         overwrite: replace existing files.
         tile: side of a tile of a .las or .laz, metres; default: the largest tile with at most 2 million points.
         buffer: width of the rim that a tile shares with its neighbours, metres; default: 60 x the typical distance of
@@ -88,7 +94,9 @@ def superpoints(
         if value is not None:
             raise ValueError(f"{name}: expected a .las or .laz cloud and result, got {cloud} and {out}")
     out = out or Path(f"{cloud.stem}-superpoints.ply")
-    png = out.with_suffix(".png")
+    png = out.with_name(f"{out.name}.png")
+    if cloud.is_dir():
+        raise ValueError(f"{cloud}: expected a file, or a folder of .las and .laz files; other files one by one")
     if out.suffix not in (".ply", ".npy", ".npz"):
         raise ValueError(f"-o: expected a file that ends in .ply, .npy or .npz, got {out}")
     made = output_file(out, overwrite, (cloud,))
@@ -96,8 +104,14 @@ def superpoints(
     config = SuperpointsConfig.from_preset(preset).set(set)
     row = int(columns) if columns and columns.isdecimal() else columns
     read = read_cloud_file(cloud, row, "keep")
+    records = read_records(cloud) if cloud.suffix.lower() == out.suffix == ".ply" else None
+    if records is not None:
+        with damage_is(str(cloud)):
+            records.check_new(NAME)
     kept_points(read.points, str(cloud), "keep" if drop_invalid else "refuse")  # an error names the file
     mesh = read.faces if config.weight == "segmentator" else None
+    if mesh is None and read.faces is not None:
+        say("neighbours of vertices are the nearest ones; with --preset segmentator those of the triangles")
     of_rows = segment(
         read.points,
         read.colors,
@@ -110,27 +124,22 @@ def superpoints(
     kept, labels = read.chosen(of_rows >= 0), of_rows[of_rows >= 0]
     scene = Scene(kept.points, colors=kept.colors, normals=kept.normals)
     with made.written() as path:
-        _write(path, scene, labels, of_rows, kept.faces)
+        if records is None:
+            _write(path, scene, labels, of_rows, kept.faces)
+        else:
+            write_bytes(path, records.with_labels(NAME, {"vertex": of_rows.numpy()}))
     say(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
     if pictured is not None:
         with pictured.written() as path:
-            _write_picture(path, scene, labels)
+            cloud_figure(scene, labels).savefig(path, dpi=100)
         say(png)
 
 
 def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor, faces: Tensor | None) -> None:
-    from torchjoint.results.render import label_colors
-
     if out.suffix == ".ply":
-        write_cloud(out, scene.points, label_colors(labels), labels, faces)
+        write_cloud(out, scene.points, label_colors(labels), labels, faces, NAME)
     elif out.suffix == ".npy":
         np.save(out, of_rows.numpy())
     else:
         arrays = {"points": scene.points, "labels": labels, "colors": scene.colors, "faces": faces}
         np.savez_compressed(out, **{name: of.numpy() for name, of in arrays.items() if of is not None})  # type: ignore[arg-type]
-
-
-def _write_picture(png: Path, scene: Scene, labels: Tensor) -> None:
-    from torchjoint.results.figures import cloud_figure
-
-    cloud_figure(scene, labels).savefig(png, dpi=100)

@@ -94,8 +94,7 @@ def _codes(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.uint64]:
     columns = np.ascontiguousarray(rows.T) + 0.0  # -0 becomes 0
     bits = columns.view(np.uint32 if rows.dtype == np.float32 else np.uint64).astype(np.uint64)
     x, y, z = (bits ^ (bits >> np.uint64(29))) * _ODD[:, None]
-    code: npt.NDArray[np.uint64] = x ^ (y >> np.uint64(7)) ^ (z << np.uint64(9)) ^ ((x + y + z) >> np.uint64(31))
-    return code
+    return x ^ (y >> np.uint64(7)) ^ (z << np.uint64(9)) ^ ((x + y + z) >> np.uint64(31))
 
 
 def order_of_points(points: Tensor) -> Tensor:

@@ -37,20 +37,8 @@ def parameter(
         too_low, too_high: what a result looks like if the value is too low or too high. Only the few parameters that
             users change have these texts; the documents show them in a separate table.
     """
-    return field(
-        default=default,
-        metadata={
-            "doc": doc,
-            "unit": unit,
-            "low": low,
-            "high": high,
-            "above": above,
-            "sensible": sensible,
-            "choices": tuple(choices),
-            "too_low": too_low,
-            "too_high": too_high,
-        },
-    )
+    declared = {**locals(), "choices": tuple(choices)}  # the arguments by name
+    return field(default=default, metadata=declared)
 
 
 @dataclass(frozen=True)

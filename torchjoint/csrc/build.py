@@ -25,26 +25,14 @@ SOURCES = Path("torchjoint/csrc")
 # -fno-trapping-math: nobody reads the flags of floating-point exceptions; to keep them, GCC leaves many comparisons as
 # branches. No value changes. Torch's headers come as those of the system, without warnings about them.
 FLAGS = [
-    "-std=c++20",
-    "-O3",
-    "-g0",
-    "-fvisibility=hidden",
-    "-ffp-contract=off",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-Wall",
-    "-Wextra",
-]
+    "-std=c++20", "-O3", "-g0", "-fvisibility=hidden", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
+    "-Wall", "-Wextra",
+]  # fmt: skip
 # The same for Windows, where nothing is visible but what is exported, and the compiler's driver has other names.
 CLANG_CL_FLAGS = [
-    "/std:c++20",
-    "/O2",
-    "/EHsc",
-    "/clang:-O3",
-    "/clang:-ffp-contract=off",
-    "/clang:-fno-math-errno",
+    "/std:c++20", "/O2", "/EHsc", "/clang:-O3", "/clang:-ffp-contract=off", "/clang:-fno-math-errno",
     "/clang:-fno-trapping-math",
-]
+]  # fmt: skip
 
 
 class BuildStableExtension(build_ext):

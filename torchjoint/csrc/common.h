@@ -120,7 +120,9 @@ auto with_values(const Tensor& values, Function&& function) {
   return function(values.const_data_ptr<double>());
 }
 
-#ifdef __x86_64__
+// With sanitizers the compiler would need many minutes for a version without calls.
+#if defined(__x86_64__) && !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+#define TORCHJOINT_AVX2
 // Vectors of twice the length, without fused operations, so that results are the same.
 template <typename Function>
 __attribute__((target("avx2"), flatten)) void run_avx2(const Function& function) {
@@ -131,7 +133,7 @@ __attribute__((target("avx2"), flatten)) void run_avx2(const Function& function)
 // Runs a function in the fastest version for this processor.
 template <typename Function>
 void run_fastest(const Function& function) {
-#ifdef __x86_64__
+#ifdef TORCHJOINT_AVX2
   if (__builtin_cpu_supports("avx2")) return run_avx2(function);
 #endif
   function();

@@ -1,39 +1,22 @@
 // Region merging by mean boundary cost (average linkage): see region_graph.h.
 //
-// Two regions merge only if an edge between them costs at most the threshold. So the connected parts of the graph of
-// such edges are independent: each is a small graph, which fits in the processor's cache, and several of them are merged
-// in parallel.
+// Regions with near numbers are mostly near in space. So blocks of successive regions are merged first, each by itself:
+// such a graph fits in the processor's cache, and several are merged in parallel. Two regions merge where their boundary
+// is the weakest one around both. No other merge, in whatever order, can make another boundary around them weaker. So
+// the groups are the same as if the weakest boundary of all regions were merged first.
 #include "array.h"
 #include "merged_regions.h"
 
 #include <algorithm>
+#include <limits>
 #include <numeric>
 #include <vector>
 
 namespace torchjoint {
 namespace {
 
-// Connected parts are merged as one graph until it has so many edges. This number does not change the result.
-constexpr int64_t kEdgesPerBlock = 1 << 14;
-
-// Things in blocks: those of block b are member[start[b]] ... member[start[b + 1] - 1], in their own order.
-struct Blocks {
-  template <typename BlockOf>
-  Blocks(int64_t num_things, int64_t num_blocks, const BlockOf& block_of) : start(num_blocks + 1, 0) {
-    for (int64_t i = 0; i < num_things; ++i) {
-      if (const int64_t block = block_of(i); block >= 0) ++start[block + 1];
-    }
-    std::partial_sum(start.begin(), start.end(), start.begin());
-    member = Array<int32_t>(start.back());
-    std::vector<int64_t> next(start.begin(), start.end() - 1);
-    for (int64_t i = 0; i < num_things; ++i) {
-      if (const int64_t block = block_of(i); block >= 0) member[next[block]++] = static_cast<int32_t>(i);
-    }
-  }
-
-  std::vector<int64_t> start;
-  Array<int32_t> member{0};
-};
+// This number does not change the result.
+constexpr int64_t kRegionsPerBlock = 1 << 13;
 
 class Merging {
  public:
@@ -46,53 +29,37 @@ class Merging {
   }
 
   void merge_up_to(double threshold) {
-    const std::vector<int32_t> block = blocks_of_regions(threshold);
-    const int64_t num_blocks = block.empty() ? 0 : 1 + *std::max_element(block.begin(), block.end());
-    const Blocks regions(num_regions_, num_blocks, [&](int64_t region) { return block[region]; });
-    const Blocks inside(num_edges_, num_blocks, [&](int64_t e) {
-      return first(e) != second(e) && part_[first(e)] == part_[second(e)] ? block[first(e)] : kNone;
-    });
-    std::vector<int32_t> number(num_regions_);  // in the block
-    torch::stable::parallel_for(0, num_blocks, 1, [&](int64_t begin, int64_t end) {
-      for (int64_t b = begin; b < end; ++b) {
-        const int32_t* const region = regions.member.data() + regions.start[b];
-        const int64_t num_inside = regions.start[b + 1] - regions.start[b];
-        for (int64_t i = 0; i < num_inside; ++i) number[region[i]] = static_cast<int32_t>(i);
-        RegionAdjacencyGraph graph(num_inside);
-        for (int64_t i = inside.start[b]; i < inside.start[b + 1]; ++i) {
-          const int64_t e = inside.member[i];
-          graph.add(number[first(e)], number[second(e)], cost_[e]);
-        }
-        // No other block contains these regions.
-        graph.merge_weakest([&](const RegionBoundary& border) { return border.mean() <= threshold; },
-                            [&](int32_t n) { join(graph.border(n), region); });
-      }
-    });
+    const std::vector<int32_t> part = connected_parts(threshold);
+    const auto may_meet = [&](int64_t e) { return first(e) != second(e) && part[first(e)] == part[second(e)]; };
+    merge_blocks(threshold, may_meet);
+    const Groups groups = current_groups();
+    RegionAdjacencyGraph graph(groups.root.size());
+    for (int64_t e = 0; e < num_edges_; ++e) {
+      const int32_t a = groups.of_region[first(e)], b = groups.of_region[second(e)];
+      if (a != b && may_meet(e)) graph.add(a, b, cost_[e]);
+    }
+    graph.merge_weakest([&](const RegionBoundary& border) { return border.mean() <= threshold; },
+                        [&](int32_t n) { return join(graph.border(n), groups.root.data()); });
   }
 
   // Merges the regions of fewer than `min_size` points. Boundaries between two larger regions are never merged.
   void join_small(int64_t min_size) {
-    std::vector<int32_t> group(num_regions_), root;
-    for (int64_t region = 0; region < num_regions_; ++region) {  // the root of a group is its lowest region
-      const int32_t lowest = merged_.find(static_cast<int32_t>(region));
-      if (lowest == region) root.push_back(lowest);
-      group[region] = lowest == region ? static_cast<int32_t>(root.size() - 1) : group[lowest];
-    }
-    const int64_t num_groups = static_cast<int64_t>(root.size());
-    std::vector<uint8_t> small(num_groups);
-    for (int64_t g = 0; g < num_groups; ++g) small[g] = merged_.size(root[g]) < min_size;
-    const auto is_small = [&](const RegionBoundary& border) {
-      return small[border.region[0]] || small[border.region[1]];
-    };
-    RegionAdjacencyGraph graph(num_groups);
+    const auto [group, root] = current_groups();
+    std::vector<uint8_t> small(root.size());
+    for (size_t g = 0; g < root.size(); ++g) small[g] = merged_.size(root[g]) < min_size;
+    RegionAdjacencyGraph graph(root.size());
     for (int64_t e = 0; e < num_edges_; ++e) {
       const int32_t a = group[first(e)], b = group[second(e)];
       if (a != b && (small[a] || small[b])) graph.add(a, b, cost_[e]);
     }
+    const auto is_small = [&](const RegionBoundary& border) {
+      return small[border.region[0]] || small[border.region[1]];
+    };
     graph.merge_weakest(is_small, [&](int32_t n) {
       const auto [a, b] = graph.border(n).region;
       join(graph.border(n), root.data());
       small[a] = small[b] = merged_.size(root[a]) < min_size;  // the merged region keeps one of both numbers
+      return true;
     });
   }
 
@@ -109,43 +76,88 @@ class Merging {
   int64_t first(int64_t e) const { return edges_[e]; }
   int64_t second(int64_t e) const { return edges_[num_edges_ + e]; }
 
-  void join(const RegionBoundary& border, const int32_t* region) {
+  bool join(const RegionBoundary& border, const int32_t* region) {
     merged_.join(region[border.region[0]], region[border.region[1]]);
+    return true;
   }
 
-  // Finds the connected parts, and returns the block of each region; a part is in one block.
-  std::vector<int32_t> blocks_of_regions(double threshold) {
+  struct Groups {
+    std::vector<int32_t> of_region, root;  // the root of a group is its lowest region
+  };
+
+  Groups current_groups() {
+    Groups groups{std::vector<int32_t>(num_regions_), {}};
+    for (int64_t region = 0; region < num_regions_; ++region) {
+      const int32_t lowest = merged_.find(static_cast<int32_t>(region));
+      if (lowest == region) groups.root.push_back(lowest);
+      groups.of_region[region] =
+          lowest == region ? static_cast<int32_t>(groups.root.size() - 1) : groups.of_region[lowest];
+    }
+    return groups;
+  }
+
+  // For each region the lowest region of its connected part. Only an edge that costs at most the threshold connects.
+  std::vector<int32_t> connected_parts(double threshold) const {
     const std::vector<int64_t> no_size(num_regions_, 0);
     Merged parts(no_size.data(), num_regions_);
     for (int64_t e = 0; e < num_edges_; ++e) {
       if (cost_[e] <= threshold) parts.join(static_cast<int32_t>(first(e)), static_cast<int32_t>(second(e)));
     }
-    part_.resize(num_regions_);
-    for (int64_t region = 0; region < num_regions_; ++region) part_[region] = parts.find(static_cast<int32_t>(region));
-    std::vector<int64_t> num_inside(num_regions_, 0);  // edges of each part, at its lowest region
+    std::vector<int32_t> part(num_regions_);
+    for (int64_t region = 0; region < num_regions_; ++region) part[region] = parts.find(static_cast<int32_t>(region));
+    return part;
+  }
+
+  // Merges each block as far as no edge to another block is weaker.
+  template <typename MayMeet>
+  void merge_blocks(double threshold, const MayMeet& may_meet) {
+    const int64_t num_blocks = (num_regions_ + kRegionsPerBlock - 1) / kRegionsPerBlock;
+    // The lowest cost of the edges between each region and other blocks.
+    std::vector<int32_t> limit(num_regions_, std::numeric_limits<int32_t>::max());
+    const auto block_of = [&](int64_t e) -> int64_t {
+      const int64_t a = first(e), b = second(e), block = a / kRegionsPerBlock;
+      if (!may_meet(e)) return kNone;
+      if (block == b / kRegionsPerBlock) return block;
+      limit[a] = std::min(limit[a], cost_[e]), limit[b] = std::min(limit[b], cost_[e]);
+      return kNone;
+    };
+    // The edges inside block b are inside[start[b]] ... inside[start[b + 1] - 1], in their own order.
+    std::vector<int64_t> start(num_blocks + 1, 0);
     for (int64_t e = 0; e < num_edges_; ++e) {
-      if (part_[first(e)] == part_[second(e)]) ++num_inside[part_[first(e)]];
+      if (const int64_t block = block_of(e); block != kNone) ++start[block + 1];
     }
-    std::vector<int32_t> block(num_regions_, kNone);
-    int32_t current = 0;
-    int64_t edges = 0;
-    for (int64_t region = 0; region < num_regions_; ++region) {
-      if (part_[region] != region) {
-        block[region] = block[part_[region]];
-      } else if (num_inside[region] > 0) {
-        if (edges > 0 && edges + num_inside[region] > kEdgesPerBlock) ++current, edges = 0;
-        edges += num_inside[region];
-        block[region] = current;
+    std::partial_sum(start.begin(), start.end(), start.begin());
+    Array<int32_t> inside(start.back());
+    std::vector<int64_t> next(start.begin(), start.end() - 1);
+    for (int64_t e = 0; e < num_edges_; ++e) {
+      if (const int64_t block = block_of(e); block != kNone) inside[next[block]++] = static_cast<int32_t>(e);
+    }
+    torch::stable::parallel_for(0, num_blocks, 1, [&](int64_t begin, int64_t end) {
+      for (int64_t b = begin; b < end; ++b) {
+        const int64_t lowest = b * kRegionsPerBlock;
+        RegionAdjacencyGraph graph(std::min(kRegionsPerBlock, num_regions_ - lowest));
+        for (int64_t i = start[b]; i < start[b + 1]; ++i) {
+          const int64_t e = inside[i];
+          graph.add(static_cast<int32_t>(first(e) - lowest), static_cast<int32_t>(second(e) - lowest), cost_[e]);
+        }
+        const auto may_merge = [&](const RegionBoundary& border) { return border.mean() <= threshold; };
+        graph.merge_weakest(may_merge, [&](int32_t n) {
+          const RegionBoundary& border = graph.border(n);
+          const int64_t one = lowest + border.region[0], other = lowest + border.region[1];
+          // The merged region keeps one of both numbers. If they do not merge, neither may merge with a third one.
+          limit[one] = limit[other] = std::min(limit[one], limit[other]);
+          if (limit[one] <= border.mean()) return false;
+          merged_.join(static_cast<int32_t>(one), static_cast<int32_t>(other));
+          return true;
+        });
       }
-    }
-    return block;
+    });
   }
 
   const int64_t* edges_;
   int64_t num_edges_, num_regions_;
   Array<int32_t> cost_;
   Merged merged_;
-  std::vector<int32_t> part_;  // of each region: the lowest region of its connected part
 };
 
 Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor& size, double threshold,

@@ -34,6 +34,7 @@ std::tuple<Tensor, Tensor> region_dendrogram(const Tensor& edge_index, const Ten
                         higher.push_back(std::max(a, b));
                         mean.push_back(border.mean() / kUnit);
                         merged.join(a, b);
+                        return true;
                       });
 
   const int64_t num_merges = static_cast<int64_t>(mean.size());

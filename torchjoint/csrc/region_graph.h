@@ -160,9 +160,10 @@ class RegionAdjacencyGraph {
     return number;
   }
 
-  // Repeatedly merges the two regions of the weakest boundary with `may_merge(border)`, until there is none. `may_merge` of a
-  // boundary may change from false to true only when the boundary is joined with another one. `on_merge(number)` is
-  // called before each merge. Afterwards `region` of a boundary holds the merged regions on its two sides.
+  // Repeatedly merges the two regions of the weakest boundary with `may_merge(border)`, until there is none. `may_merge`
+  // of a boundary may change from false to true only when the boundary is joined with another one. `on_merge(number)` is
+  // called before each merge; if it returns false, the two regions do not merge. Afterwards `region` of a boundary holds
+  // the merged regions on its two sides.
   template <typename MayMerge, typename OnMerge>
   void merge_weakest(const MayMerge& may_merge, const OnMerge& on_merge) {
     if (is_gone_.empty()) list_borders();
@@ -190,7 +191,7 @@ class RegionAdjacencyGraph {
         wait(number);
         continue;
       }
-      on_merge(number);
+      if (!on_merge(number)) continue;
       is_gone_[number] = true;
       merge(borders_[number].region[0], borders_[number].region[1], on_join);
     }

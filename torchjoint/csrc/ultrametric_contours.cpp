@@ -108,6 +108,7 @@ std::vector<double> heights(RegionAdjacencyGraph& graph) {
                       [&](int32_t number) {
                         level = std::max(level, graph.border(number).mean());
                         graph.for_each_part(number, [&](int32_t part) { height[part] = level; });
+                        return true;
                       });
   return height;
 }

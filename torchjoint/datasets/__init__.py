@@ -9,13 +9,14 @@ from pathlib import Path
 
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.formats import FORMATS, Format
+from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.datasets.recording import Options
 from torchjoint.runtime.foreign_files import has_file, has_folder, is_there, or_unreadable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Cloud, Scene
 from torchjoint.scene.checks import Invalid
 
-__all__ = ["list_scenes", "load_cloud", "load_scene"]
+__all__ = ["fuse_cloud", "list_scenes", "load_cloud", "load_scene"]
 
 
 @on_cpu()
@@ -119,8 +120,7 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
     if not found:
         raise ValueError(
             f"scene: {path} is of no known format: it {_content(path)}.{_cloud_inside(path)} The most similar one "
-            f"needs {_nearest(path)}. "
-            "`torchjoint formats` lists all"
+            f"needs {_nearest(path)}. `torchjoint formats` lists all"
         )
     return found
 
@@ -151,6 +151,11 @@ def _content(path: Path) -> str:
 def _cloud_inside(path: Path) -> str:
     inside = sorted(path.iterdir()) if has_folder(path) else []
     found = [one for one in inside if has_file(one) and one.suffix.lower() in (".ply", ".pcd", ".las", ".laz", ".e57")]
+    if len(found) > 1 and found[0].suffix.lower() in (".las", ".laz"):
+        return (
+            " For objects of all its tiles, merge them (`pdal merge A.laz B.laz SITE.laz`), `torchjoint segment "
+            "SITE.laz`, and `torchjoint label OUT A.laz -o NEW.laz` for each; `torchjoint superpoints` takes all."
+        )
     return f" For a cloud alone, give the file: {found[0]}." if found else ""
 
 

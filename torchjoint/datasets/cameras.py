@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.scene import Frame
-from torchjoint.scene.checks import as_intrinsics, as_pose
+from torchjoint.scene.checks import as_intrinsics, as_pose, check_largest
 from torchjoint.scene.frame import camera_center
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Camera:
 
     Args:
         intrinsics: [3, 3] float64, pixels; pixel centres have integer coordinates.
-        size: (H, W) of the images for which the camera was calibrated; None: images of any size.
+        size: (H, W) of the images for which the camera was calibrated; None: images of any size, and depth of theirs.
         distortion: k1, k2, p1, p2; or also k3; or also k3, k4, k5, k6, as for ``cv2.undistort``; empty = none. Of a
             fisheye: k1, k2, k3, k4, as for ``cv2.fisheye``.
         name: used in messages.
@@ -71,8 +71,10 @@ class Camera:
         size = (image.shape[1], image.shape[2])
         what = f"image {name!r} of {self.name}"
         intrinsics = self.intrinsics if self.size is None else scale_intrinsics(self.intrinsics, self.size, size, what)
-        if depth is not None:
-            depth = resize_depth(depth, size, name)
+        if depth is not None and self.size is None and depth.shape != size:
+            got = f"{size[1]} x {size[0]} pixels and depth of {list(depth.shape)[::-1]}"
+            raise ValueError(f"{what}: expected depth of the image's size, as its camera gives none, got {got}")
+        depth = None if depth is None else resize_depth(depth, size, name)
         if self.fisheye or any(self.distortion):
             lens = (self.distortion, self.name, self.fisheye)
             image, depth, intrinsics = undistort(image, depth, intrinsics, *lens)
@@ -135,16 +137,15 @@ def poses_from_quaternions(quaternions: Matrix, positions: Matrix, name: str) ->
     if len(quaternions):
         poses[:, :3, :3] = torch.from_numpy(rotations_from_quaternions(quaternions, name).as_matrix())
         poses[:, :3, 3] = torch.from_numpy(positions)
+        check_largest(poses, name)
     return poses
 
 
 def rotations_about(axis: int, angles: Tensor) -> Tensor:
     """Returns rotations [N, 3, 3] about axis x, y or z (0, 1, 2) by angles [N] in radians."""
-    rotations = torch.eye(3, dtype=torch.float64).repeat(len(angles), 1, 1)
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    rotations[:, first, first] = rotations[:, second, second] = angles.cos()
-    rotations[:, first, second], rotations[:, second, first] = -angles.sin(), angles.sin()
-    return rotations
+    from scipy.spatial.transform import Rotation
+
+    return torch.from_numpy(Rotation.from_rotvec(angles[:, None].numpy() * np.eye(3)[axis]).as_matrix())
 
 
 def invert_pose(pose: Tensor) -> Tensor:
@@ -313,6 +314,7 @@ def interpolate_poses(
     """
     from scipy.spatial.transform import Slerp
 
+    check_largest(torch.from_numpy(rows[:, 1:]), name)
     rotations = rotations_from_quaternions(rows[:, 4:], name)
     if len(rows) == 1:  # duplicates a single pose, so that Slerp has two
         rows, rotations = np.concatenate([rows, rows + np.eye(8)[:1]]), rotations[[0, 0]]

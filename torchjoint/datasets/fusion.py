@@ -8,8 +8,8 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from torchjoint.runtime.files import cache_folder
 from torchjoint.runtime.store import read_values, write_values
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Frame
-from torchjoint.scene.frame import CONVENTIONS, PoseWarning, camera_center
+from torchjoint.scene.frame import CONVENTIONS, PoseDoubt, PoseWarning, camera_center
 from torchjoint.scene.scene import evenly_spaced_indices
 
 #: Depth beyond this, metres, is ignored: a depth camera's error grows with the square of the distance.
@@ -48,75 +48,59 @@ LEAST_TURN, LEAST_STEP = 5.0, 0.1
 #: generated rooms have .006, wrong ones .066 and more). Another convention fits if it has less than the given poses'
 #: difference times the second.
 AGREEING, BETTER = 0.04, 0.3
+#: What may be wrong, in words; the last two are depth of another unit, which is as if positions were.
+KINDS = [f"the poses look {text}" for text in CONVENTIONS.values()] + [
+    "depth looks 5 times too small: millimetres where the format has 5000 per metre?",
+    "depth looks 5 times too large: 5000 per metre where the format has millimetres?",
+]
 #: Fewest pixels that two images must share.
 LEAST_SHARED = 100
 #: About this number of pixels of an image are compared.
 SAMPLED = 5000
 
 
-@contextmanager
-def _lost_if_interrupted() -> Iterator[None]:
-    """Adds to an interrupt the message that the volume is lost, because it is only in memory."""
-    try:
-        yield
-    except KeyboardInterrupt as stop:
-        raise KeyboardInterrupt("the cloud was being fused from depth; the next run fuses it from the start") from stop
-
-
+@one_thread_per_operation()
 def fuse_cloud(
-    frames: Sequence[Frame], voxel_size: float = 0.02, *, progress: bool | None = False
-) -> tuple[Tensor, Tensor]:
+    frames: Sequence[Frame], voxel_size: float = 0.02, progress: bool | None = False, name: str = "frames"
+) -> tuple[Tensor, Tensor, int]:
     """Fuses depth images into a truncated signed distance volume (Curless and Levoy 1996) and extracts its surface.
 
     Args:
         frames: with depth; frames without depth are skipped.
         voxel_size: metres.
         progress: show a progress bar; None: if there is a terminal.
+        name: of the recording, for messages.
 
     Returns:
         points [N, 3] metres, float32 (float64 far from the origin), and colours [N, 3] in [0, 1], sorted by
         coordinates: the order is deterministic. Colours have 8 bits, so that the cloud is the same after it was written
-        to a file and read back.
+        to a file and read back. And the number of frames without depth.
 
     Warns:
         PoseWarning: the poses do not fit, and another convention does.
-        UserWarning: some frames have no depth.
     """
-    points, colors, without = _fused(frames, voxel_size, progress)
-    _tell_without_depth(without, len(frames))
-    return points, colors
-
-
-def _tell_without_depth(without: int, total: int) -> None:
-    if without:
-        told = f"depth: {without} of {total} frames have no depth image; the cloud is fused from the others"
-        warnings.warn(told, stacklevel=3)
-
-
-@_lost_if_interrupted()
-@one_thread_per_operation()
-def _fused(frames: Sequence[Frame], voxel_size: float, progress: bool | None) -> tuple[Tensor, Tensor, int]:
-    """As :func:`fuse_cloud`, without its warning of frames without depth; and their number."""
     if not 1e-4 <= voxel_size <= 10:
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
-    check_unit(frames)
-    warn_of_poses(frames)
-    origin = volume_origin(frames, voxel_size)
-    volume = Volume(voxel_size, MAX_DEPTH)
-    fused = 0
-    is_hidden = None if progress is None else not progress
-    for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=is_hidden):
-        frame = frames[index]
-        if frame.depth is None:
-            continue
-        fused += 1
-        add_frame(volume, frame, origin)
-    if fused == 0:
-        raise ValueError("frames: none has a depth image, and there is no cloud.ply: there is no cloud to segment")
-    points, colors = surface_cloud(volume, origin)
-    if len(points) == 0:
-        raise ValueError(f"depth: the {fused} depth images give no surface; wrong poses?")
-    return points, colors, len(frames) - fused
+    try:
+        check_unit(frames)
+        warn_of_poses(frames, name)
+        origin = volume_origin(frames, voxel_size)
+        volume = Volume(voxel_size, MAX_DEPTH)
+        fused = 0
+        is_hidden = None if progress is None else not progress
+        for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=is_hidden):
+            frame = frames[index]
+            if frame.depth is not None:
+                fused += 1
+                add_frame(volume, frame, origin)
+        if fused == 0:
+            raise ValueError("frames: none has a depth image, and there is no cloud.ply: there is no cloud to segment")
+        points, colors = surface_cloud(volume, origin)
+        if len(points) == 0:
+            raise ValueError(f"depth: the {fused} depth images give no surface; wrong poses?")
+        return points, colors, len(frames) - fused
+    except KeyboardInterrupt as stop:  # the volume is only in memory
+        raise KeyboardInterrupt("the cloud was being fused from depth; the next run fuses it from the start") from stop
 
 
 def add_frame(volume: Volume, frame: Frame, origin: Tensor) -> Tensor:
@@ -149,9 +133,8 @@ def check_unit(frames: Sequence[Frame]) -> None:
     median = float(measured.median())
     unit = "millimetres where metres are expected" if median >= MAX_DEPTH else "metres where the format has millimetres"
     raise ValueError(
-        f"depth: expected metres, mostly {MIN_DEPTH:g} to {MAX_DEPTH:g}, got a median of {median:.4g} "
-        f"in {len(images)} images; "
-        f"these are probably {unit}"
+        f"depth: expected metres, mostly {MIN_DEPTH:g} to {MAX_DEPTH:g}, got a median of {median:.4g} in "
+        f"{len(images)} images; these are probably {unit}"
     )
 
 
@@ -178,50 +161,55 @@ def fuse_or_recall(
     Returns:
         points [N, 3] metres and colours [N, 3] in [0, 1]; the same with and without the cache.
     """
-    file = _file(path, voxel_size, how)
-    try:
-        kept = {} if file is None else read_values(file)
-    except (OSError, ValueError):  # it is not there, or damaged: it is written anew
-        kept = {}
+    folder, file, kept = cache_folder(), None, {}
+    if folder is not None:
+        key = repr((fingerprint(path), float(voxel_size), version("torchjoint"), how))
+        file = folder / "clouds" / hashlib.sha256(key.encode()).hexdigest()
+        with suppress(OSError, ValueError):  # it is not there, or damaged: it is written anew
+            kept = read_values(file)
     if not kept:
-        kept = dict(zip(("points", "colors", "without"), _fused(frames, voxel_size, progress), strict=True))
+        fused = fuse_cloud(frames, voxel_size, progress, str(path))
+        kept = dict(zip(("points", "colors", "without"), fused, strict=True))
         with suppress(OSError):  # the disk is full, or there is no permission: the cloud is fused again next time
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_values(file, kept)
-    _tell_without_depth(kept["without"], len(frames))
+    if kept["without"]:
+        told = f"depth: {kept['without']} of {len(frames)} frames have no depth image"
+        warnings.warn(f"{told}; the cloud is fused from the others", stacklevel=2)
     return kept["points"], kept["colors"]
 
 
-def _file(path: Path, voxel_size: float, how: str) -> Path | None:
-    """Where the cloud is in the cache, with a checksum."""
-    folder = cache_folder()
-    if folder is None:
-        return None
-    key = repr((fingerprint(path), float(voxel_size), version("torchjoint"), how))
-    return folder / "clouds" / f"{hashlib.sha256(key.encode()).hexdigest()}"
-
-
 @one_thread_per_operation()
-def warn_of_poses(frames: Sequence[Frame]) -> None:
+def warn_of_poses(frames: Sequence[Frame], name: str = "frames") -> None:
     """Compares the depth images of some pairs of frames, at the given poses and at the poses read otherwise.
 
     Warns:
-        PoseWarning: the poses do not fit, and another convention does.
+        PoseWarning: the poses do not fit, and another convention does; or positions have another unit than depth.
+        PoseDoubt: the poses do not fit, and nothing else does.
     """
-    residuals = [_residuals(one, other) for one, other in _pairs(frames)]
+    pairs = _pairs(frames)
+    residuals = [_residuals(one, other) for one, other in pairs]
     if not residuals:
         return
     given, *others = torch.tensor(residuals, dtype=torch.float64).nan_to_num(math.inf).median(dim=0).values.tolist()
-    best, kind = min(zip(others, CONVENTIONS, strict=True))
+    best, kind = min(zip(others, KINDS, strict=True))
     if given > AGREEING and best < min(AGREEING, BETTER * given):
         said = f"differ by {given:.1%}" if math.isfinite(given) else "have nothing in common"
-        warnings.warn(
-            f"the poses look {CONVENTIONS[kind]} (depth images of neighbouring frames {said} as given, by {best:.1%} "
-            "read like this)",
-            PoseWarning,
-            stacklevel=2,
-        )
+        told = f"depth images of neighbouring frames {said} as given, by {best:.1%} read like this"
+        warnings.warn(f"{name}: {kind} ({told})", PoseWarning, stacklevel=2)
+    elif math.isinf(given) and all(_are_apart(one, other) for one, other in pairs):
+        told = f"{name}: the cameras of neighbouring frames are farther apart than their depth images reach"
+        warnings.warn(f"{told}: are positions in metres, as depth is, not in millimetres?", PoseWarning, stacklevel=2)
+    elif AGREEING < given < math.inf:  # frames that are far apart may differ, too
+        told = f"{name}: depth images of neighbouring frames differ by {given:.1%} (median)"
+        warnings.warn(f"{told}: wrong poses, order of quaternions, intrinsics or units?", PoseDoubt, stacklevel=2)
+
+
+def _are_apart(one: Frame, other: Frame) -> bool:
+    """Whether two frames with depth see nothing in common because of their distance: each fits its own surface."""
+    step = camera_center(one.world_to_camera) - camera_center(other.world_to_camera)
+    return float(step.norm()) > sum(float(frame.depth.max()) for frame in (one, other) if frame.depth is not None)
 
 
 def _pairs(frames: Sequence[Frame]) -> list[tuple[Frame, Frame]]:
@@ -246,15 +234,11 @@ def _has_moved(one: Tensor, other: Tensor) -> bool:
 
 
 def _residuals(one: Frame, other: Frame) -> list[float]:
-    """The median relative difference of the depths: at the given poses, and for each of CONVENTIONS; NaN: unknown."""
-    motion, inverse = (
-        second @ torch.linalg.inv(first)
-        for first, second in (
-            (one.world_to_camera, other.world_to_camera),
-            (torch.linalg.inv(one.world_to_camera), torch.linalg.inv(other.world_to_camera)),
-        )
-    )
-    tried = (motion, inverse, FLIP_YZ @ motion @ FLIP_YZ, FLIP_YZ @ inverse @ FLIP_YZ)
+    """The median relative difference of the depths: at the given poses, and for each of KINDS; NaN: unknown."""
+    motion = other.world_to_camera @ torch.linalg.inv(one.world_to_camera)
+    inverse = torch.linalg.inv(other.world_to_camera) @ one.world_to_camera  # between the inverted poses
+    fifth, fivefold = (torch.cat([motion[:, :3], motion[:, 3:] * step], dim=1) for step in (0.2, 5.0))
+    tried = (motion, inverse, FLIP_YZ @ motion @ FLIP_YZ, FLIP_YZ @ inverse @ FLIP_YZ, fifth, fivefold)
     return [_residual(one, other, each) for each in tried]
 
 

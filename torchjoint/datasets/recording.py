@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera
-from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.clouds import read_cloud_file, up_of
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.datasets.files.readers import read_depth, read_image
+from torchjoint.datasets.files.readers import files_below, read_depth, read_image, read_label_image
 from torchjoint.datasets.fusion import fuse_or_recall
-from torchjoint.runtime.foreign_files import has_file, no_twice
+from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
 from torchjoint.runtime.outputs import Output
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.checks import Invalid
 
+T = TypeVar("T")
 #: Suffixes of a file `cloud` in a recording's folder; the first that exists is used.
 CLOUD_SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".copc.laz", ".e57")
 
@@ -30,17 +32,22 @@ CLOUD_SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".copc.laz", ".e57")
 class Frames(LazySequence[Frame]):
     """Frames that are read on access; `has_depth(i)` tells whether frame `i` has a depth image without reading it."""
 
+    #: What is in the names of images of depth, or of their folders; None: they are those of other frames.
+    like_depth: str | None = "depth"
+
     def __init__(
         self, count: int, read: Callable[[int], Frame], names: Sequence[str], has_depth: Callable[[int], bool]
     ) -> None:
         super().__init__(count, read, names)
         self._has_depth = has_depth
 
-    def tell_without_depth(self) -> None:
-        """Warns if some of the frames have depth, and others have none."""
+    def tell_without_depth(self, path: Path) -> None:
+        """Warns if some of the frames have depth, and others have none; or none has, and there are images like it."""
         without = len(self) - sum(map(self._has_depth, range(len(self))))
         if 0 < without < len(self):
             warnings.warn(f"depth: {without} of {len(self)} frames have no depth image", stacklevel=4)
+        elif without and self.like_depth is not None:
+            tell_not_read(path, self.like_depth, "a depth image")
 
 
 @dataclass(frozen=True)
@@ -78,18 +85,19 @@ def scene_of_frames(
         instances: the true instance of each point [N, 3] of the first of these, or None.
         images: the true instances of the frames' pixels.
     """
-    scene, file = _scene_of_frames(path, frames, options, clouds), find_cloud(path, options, clouds)
-    points = instances(scene.points) if instances is not None and file == clouds[0] else None
+    file = find_cloud(path, options, clouds)
+    scene = _scene_of_frames(path, frames, options, file)
+    is_first = str(file).lower() in (str(one).lower() for one in clouds[:1])
+    points = instances(scene.points) if instances is not None and is_first else None
     return replace(scene, truth=Truth(points, images)) if points is not None or images else scene
 
 
-def _scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clouds: Sequence[Path]) -> Scene:
-    file = find_cloud(path, options, clouds)
+def _scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, file: Path | None) -> Scene:
     if file is not None:
         if isinstance(frames, Frames):
-            frames.tell_without_depth()
+            frames.tell_without_depth(path)
         cloud = read_cloud_file(file, invalid=options.invalid, least_opacity=options.least_opacity)
-        return Scene(cloud.points, frames, cloud.colors, cloud.normals, name=path.name)
+        return Scene(cloud.points, frames, cloud.colors, cloud.normals, name=path.name, up=up_of(file))
     if not options.fuse:
         return Scene(torch.zeros(1, 3), frames, name=path.name)
     made = None if options.cloud is None else Output(options.cloud, overwrite=False, option="cloud")
@@ -102,9 +110,15 @@ def _scene_of_frames(path: Path, frames: Sequence[Frame], options: Options, clou
 
 
 def find_cloud(path: Path, options: Options, clouds: Sequence[Path] = ()) -> Path | None:
-    """Returns the first cloud that exists: `options.cloud`, `cloud.*` in the folder, the format's own `clouds`."""
-    candidates = (options.cloud, *(path / f"cloud{suffix}" for suffix in CLOUD_SUFFIXES), *clouds)
-    return next((file for file in candidates if file is not None and has_file(file)), None)
+    """Returns the first cloud that exists: `options.cloud`, `cloud.*` in the folder, the format's own `clouds`.
+
+    The names of the latter two are compared without case.
+    """
+    files = [*(path / f"cloud{suffix}" for suffix in CLOUD_SUFFIXES), *clouds]
+    folders = {file.parent for file in files if has_folder(file.parent)}
+    there = {folder: {name.lower(): name for name in sorted(os.listdir(folder))} for folder in folders}
+    files = [file.with_name(there.get(file.parent, {}).get(file.name.lower(), file.name)) for file in files]
+    return next((file for file in (options.cloud, *files) if file is not None and has_file(file)), None)
 
 
 class Shot(NamedTuple):
@@ -116,6 +130,7 @@ class Shot(NamedTuple):
     name: str
     depth: Path | Callable[[], Tensor | None] | None = None  #: 16-bit, none if the file is not there; or what reads it
     unit: float = 0.001  #: of a depth file, metres
+    labels: Path | None = None  #: an initial segmentation, 0 = none; none if the file is not there
 
     def has_depth(self) -> bool:
         """Whether there is a depth image."""
@@ -128,7 +143,10 @@ class Shot(NamedTuple):
         else:
             depth = None if self.depth is None else self.depth()
         image = read_image(self.color, self.camera.size) if isinstance(self.color, Path) else self.color()
-        return self.camera.frame(image, self.world_to_camera, depth, self.name)
+        frame = self.camera.frame(image, self.world_to_camera, depth, self.name)
+        if self.labels is None or not has_file(self.labels):
+            return frame
+        return replace(frame, labels=read_label_image(self.labels) - 1)
 
 
 def tell_left_out(name: str, left: int, total: int, why: str = "have no pose") -> None:
@@ -137,21 +155,38 @@ def tell_left_out(name: str, left: int, total: int, why: str = "have no pose") -
         warnings.warn(f"{name}: {left} of {total} images {why} and are left out", stacklevel=4)
 
 
-def tell_lost(name: str, lost: int, total: int) -> None:
-    """Warns of cameras or poses whose images are missing."""
-    tell_left_out(name, lost, total, "have a pose, but are missing,")
+def posed(items: Sequence[tuple[T, Tensor | None]], name: str, where: str, limit: float) -> list[tuple[T, Tensor]]:
+    """The images that have a pose, of pairs of both; a warning tells of the others, and an error if none has."""
+    kept = [(one, pose) for one, pose in items if pose is not None]
+    if not kept:
+        raise ValueError(f"{name}: none of {len(items)} images has a pose within {limit} s ({where})")
+    tell_left_out(name, len(items) - len(kept), len(items), f"have no pose within {limit} s,")
+    return kept
 
 
-def tell_unlisted(name: str, files: Sequence[Path], left: int = 0, why: str = "") -> None:
+def tell_lost(name: str, posed: Iterable[object], there: Collection[object]) -> None:
+    """Warns of images that have a camera or a pose, and are not there."""
+    lost = len(set(posed).difference(there))
+    tell_left_out(name, lost, lost + len(there), "have a pose, but are missing,")
+
+
+def tell_unlisted(name: str, files: Sequence[Path]) -> None:
     """Warns of images beside those with a pose, `files`, which a list of poses does not name: they are left out.
 
-    An image is one of theirs if it differs in its number only. If `left` of the files have no pose, this is told, too.
+    An image is one of theirs if it differs in its number only.
     """
-    tell_left_out(name, left, len(files), why)
     kinds = {(file.parent, _without_number(file)) for file in files}
     folders, used = {file.parent for file in files}, set(files)
     beside = {one for folder in folders for one in folder.iterdir() if (folder, _without_number(one)) in kinds}
     tell_left_out(name, len(beside - used), len(beside | used))
+
+
+def tell_not_read(folder: Path, like: str, what: str) -> None:
+    """Warns if no frame has an image of a kind, and one below the folder is like it: of another suffix or number."""
+    name = re.compile(rf"{like}.*\.(png|tiff?|npy|exr|pgm)$", re.IGNORECASE)
+    found = next((file for file in files_below(folder) if name.search(str(file.relative_to(folder)))), None)
+    if found is not None:
+        warnings.warn(f"{found}: not read: no frame has {what} of the name that its format gives it", stacklevel=5)
 
 
 def sorted_images(folder: Path, files: Iterable[Path]) -> list[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence, Set
 from pathlib import Path
 
@@ -11,12 +12,14 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import resize_nearest
 from torchjoint.datasets.files.binary import Members
-from torchjoint.datasets.files.readers import decode_image, labels_of, read_label_image
+from torchjoint.datasets.files.readers import decode_image, labels_of, read_image_size, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
+from torchjoint.datasets.recording import tell_not_read
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame
+from torchjoint.scene.checks import RIGID_TOLERANCE, check_largest
 
 SEGMENTS, OBJECTS = "_vh_clean_2.0.010000.segs.json", ".aggregation.json"
 
@@ -45,25 +48,39 @@ def point_instances(
     if len(segments) != len(points):
         raise ValueError(f"{record.name}: expected the segments of {len(points)} points, got {len(segments)}")
     numbers, segment_of_point, sizes = np.unique(segments, return_inverse=True, return_counts=True)
-    groups = []
+    groups, lacking = [], 0
     for group in read_record(objects_file, "segments of objects").records("segGroups"):
         instance = object_id(group)
         if among is not None and instance not in among:
             continue
-        inside = np.isin(numbers, group.integers("segments"))
+        members = group.integers("segments")
+        inside, lacking = np.isin(numbers, members), lacking + int((~np.isin(members, numbers)).sum())
         groups.append((int(sizes[inside].sum()) if smallest else 0, instance, inside.nonzero()[0]))
+    if lacking:
+        warnings.warn(f"{objects_file}: {lacking} segments of objects are not in {segments_file.name}", stacklevel=2)
     objects = np.full(len(numbers), -1, dtype=np.int64)
-    for _, instance, members in sorted(groups, key=lambda group: -group[0]):
-        objects[members] = instance
+    for _, instance, places in sorted(groups, key=lambda group: -group[0]):
+        objects[places] = instance
     return torch.from_numpy(objects[segment_of_point])
 
 
-def label_images(files: Sequence[Path], what: str) -> Sequence[Tensor]:
+def read_labels(file: Path, size: tuple[int, ...]) -> Tensor:
+    """Reads a label image of an image of `size`, (H, W)."""
+    labels = read_label_image(file)
+    if labels.shape != size:
+        raise ValueError(f"{file}: expected {list(size)} pixels, as its image has, got {list(labels.shape)}")
+    return labels
+
+
+def label_images(files: Sequence[Path], what: str, images: Sequence[Path]) -> Sequence[Tensor]:
     """Label images [H, W] int64 of frames, in files in which 0 means none, as -1; lazy; empty if there is no file."""
     missing = [file for file in files if not has_file(file)]
     if missing and len(missing) < len(files):
         raise FileNotFoundError(f"{missing[0]}: missing; {len(files) - len(missing)} other frames have their {what}")
-    return () if missing else LazySequence(len(files), lambda index: read_label_image(files[index]) - 1)
+    if missing:
+        tell_not_read(files[0].parent, what.rstrip("s"), f"an image of {what}")
+        return ()
+    return LazySequence(len(files), lambda index: read_labels(files[index], read_image_size(images[index])) - 1)
 
 
 def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Sequence[Tensor]:
@@ -74,14 +91,10 @@ def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Seq
     inside, archive = folder / "instance-filt", folder / f"{scan}_2d-instance-filt.zip"
     if not has_folder(inside) and not has_file(archive):
         return ()
-    if has_folder(inside):
-        files, members = Members(inside), [f"{name}.png" for name in frames.names]
-    else:
-        files, members = Members(archive), [f"instance-filt/{name}.png" for name in frames.names]
+    files, prefix = (Members(inside), "") if has_folder(inside) else (Members(archive), "instance-filt/")
+    members = [f"{prefix}{name}.png" for name in frames.names]
     if missing := [member for member in members if member not in files.names]:
-        if has_folder(inside):
-            raise FileNotFoundError(f"{inside / missing[0]}: missing; expected the instances of every frame's pixels")
-        raise FileNotFoundError(f"{archive}: expected a member for every frame; {missing[0]} is missing")
+        raise FileNotFoundError(f"{files.path / missing[0]}: missing; expected the instances of every frame's pixels")
 
     def read(index: int) -> Tensor:
         name = f"{files.path}, {members[index]}"
@@ -99,7 +112,7 @@ def object_id(group: Record) -> int:
     return instance
 
 
-def instances_in_boxes(points: Tensor, centers: Tensor, sizes: Tensor, rotations: Tensor) -> Tensor:
+def instances_in_boxes(points: Tensor, centers: Tensor, sizes: Tensor, axes: Tensor, names: Sequence[str]) -> Tensor:
     """Assigns each point to the box that contains it; a box includes its faces.
 
     A point in several boxes gets the smallest box, since small objects stand in or on large objects. If several boxes
@@ -109,14 +122,22 @@ def instances_in_boxes(points: Tensor, centers: Tensor, sizes: Tensor, rotations
         points: [N, 3] metres.
         centers: [B, 3] centres of the boxes, metres.
         sizes: [B, 3] along each box's own axes, metres, above 0.
-        rotations: [B, 3, 3]; the columns are the axes of the box.
+        axes: [B, 3, 3]; the columns are the axes of the box.
+        names: B names, which begin the messages about boxes without an extent or with other axes.
 
     Returns:
         [N] int64, index of the box; -1 = in no box.
     """
+    # Axes of a left hand are as good.
+    off = (axes.mT @ axes - torch.eye(3, dtype=torch.float64)).abs().flatten(1).amax(1)
+    for center, size, error, name in zip(centers, sizes, off, names, strict=True):
+        check_largest(torch.stack([center, size]), name)
+        if error > RIGID_TOLERANCE or not bool((size > 0).all()):
+            got = f"{size.tolist()}, and axes off by {float(error):.3g}"
+            raise ValueError(f"{name}: expected lengths > 0, and axes of length 1 at right angles, got {got}")
     instances = torch.full((len(points),), -1, dtype=torch.int64)
     large_first = torch.argsort(sizes.prod(dim=1), descending=True, stable=True)
     for box in large_first.tolist():
-        offset = (points.to(torch.float64) - centers[box]) @ rotations[box]
+        offset = (points.to(torch.float64) - centers[box]) @ axes[box]
         instances[(offset.abs() <= sizes[box] / 2).all(dim=1)] = box
     return instances

@@ -214,8 +214,7 @@ class SharedFile(Generic[T]):
     def load(self) -> T:
         """The value, in a worker."""
         with _lock:
-            value: T = _load(*self._key)
-            return value
+            return _load(*self._key)
 
     def close(self) -> None:
         """Deletes the file; no task will use it any more."""

@@ -204,8 +204,7 @@ class RayExecutor(Executor):
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future[Any]:
         """Starts a call."""
-        future: Future[Any] = self._remote.remote(function, *arguments, **options).future()
-        return future
+        return self._remote.remote(function, *arguments, **options).future()
 
 
 def _ray(closing: ExitStack, name: str, threads: int, workers: int | None, address: str | None) -> Engine:

@@ -28,8 +28,7 @@ CONTRAST = 8.0
 def to_lab(colors: Tensor) -> Tensor:
     """RGB in [0, 1] -> CIE Lab, [..., 3, H, W] each."""
     with _exact_products():
-        lab: Tensor = kornia.color.rgb_to_lab(colors)
-        return lab
+        return kornia.color.rgb_to_lab(colors)
 
 
 _SETTING = Lock()

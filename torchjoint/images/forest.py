@@ -304,14 +304,6 @@ def _trees(model: str | None, version: tuple[int, int] | None) -> tuple[Tensor, 
             forest = read_forest(path)
     else:
         forest = read_forest(Path(model))
-    children, features, thresholds, counts, pixels = (
-        torch.from_numpy(array)
-        for array in (
-            forest.children,
-            forest.features,
-            forest.thresholds,
-            forest.boundary_counts,
-            forest.boundary_pixels,
-        )
-    )
-    return children, features, thresholds, counts, pixels, forest.trees_per_site
+    *arrays, trees_per_site = vars(forest).values()
+    children, features, thresholds, counts, pixels = map(torch.from_numpy, arrays)
+    return children, features, thresholds, counts, pixels, trees_per_site

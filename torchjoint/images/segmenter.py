@@ -139,9 +139,7 @@ class ImageSegmenter(nn.Module):
     ) -> list[ImageSegments]:
         """Segments frames; `boundaries` are those of the frames without masks, in their order."""
         left = iter(boundaries)
-
-        def job(frame: Frame, segments: Masks | Tensor | None) -> tuple[Frame, Masks | Tensor | None, Tensor]:
-            return frame, segments, frame.image if isinstance(segments, Masks) else next(left)
+        own = [frame.image if isinstance(one, Masks) else next(left) for frame, one in zip(frames, given, strict=True)]
 
         def segment(job: tuple[Frame, Masks | Tensor | None, Tensor]) -> ImageSegments:
             frame, segments, boundary = job
@@ -151,7 +149,7 @@ class ImageSegmenter(nn.Module):
                 segments = segment_image(frame.image, boundary, self.config.image_graph, self.config.image_segments)
             return ImageSegments(boundary, segments, None)
 
-        return parallel_map(segment, [job(*pair) for pair in zip(frames, given, strict=True)])
+        return parallel_map(segment, [*zip(frames, given, own, strict=True)])
 
     def _detect(self, images: Tensor) -> Tensor:
         with eval_mode(self.boundary):

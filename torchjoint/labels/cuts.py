@@ -13,7 +13,7 @@ from torchjoint.config import Config, ImageGraphConfig, PaperConfig
 from torchjoint.images.contours import smooth
 from torchjoint.labels.joint_ids import joint_labels, look_up
 from torchjoint.ops.internal import pair_counts, segment_graphs
-from torchjoint.runtime.groups import starts_group
+from torchjoint.runtime.groups import first_places, starts_group
 from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
@@ -84,7 +84,7 @@ def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, confi
     n_all, n_internal = (torch.zeros_like(keys).index_add(0, of_key, counts) for counts in (pairs.num_pairs, internal))
     merging = keys[n_internal.float() / n_all >= config.merge_ratio]
     component = ops.connected_components(torch.stack([merging // num_labels, merging % num_labels]), num_labels)
-    lowest = torch.full((num_labels,), num_labels).scatter_reduce(0, component, torch.arange(num_labels), "amin")
+    lowest = first_places(component, num_labels)
     return look_up(lowest[component].to(labels.dtype), labels, -1)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.groups import starts_group
+from torchjoint.runtime.groups import counted_pairs, starts_group
 from torchjoint.views.observations import Observations
 from torchjoint.views.visibility import Visible
 
@@ -58,11 +58,9 @@ def joint_labels(
 def _most_votes(segment: Tensor, point_labels: Tensor, segment_sizes: Tensor) -> tuple[Tensor, Tensor]:
     """The image segments that contain points, and for each the 3D segment of most of its points."""
     inside = segment >= 0
-    num_segments = segment_sizes.shape[0]
-    key, votes = torch.unique(segment[inside] * num_segments + point_labels[inside], return_counts=True)
-    segment, winner = key // num_segments, key % num_segments
+    segment, winner, votes = counted_pairs(segment[inside], point_labels[inside])
     # Sort by segment, then votes, then size, then lower id: stable sorts, last criterion first (ids are ascending).
-    order = torch.arange(key.shape[0])
+    order = torch.arange(len(segment))
     for criterion in (-segment_sizes[winner], -votes, segment):
         order = order[torch.argsort(criterion[order], stable=True)]
     best = order[starts_group(segment[order])]

@@ -8,7 +8,6 @@ The superpoint in each pixel gives the labels of every level.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -81,7 +80,7 @@ def label(
     return Segmentation(
         points=points.given,
         images=level_images(labels, count, points.number, count),
-        initial_images=LazySequence(len(seen), partial(_initial_labels, seen)),
+        initial_images=LazySequence(len(seen), lambda index: seen[index].initial_labels().long()),
         names=tuple(seen.names),
         seconds=dict(stopwatch.seconds),
         hierarchy=hierarchy,
@@ -107,25 +106,14 @@ def superpoint_images(
     """
     kept = dict(known)
     numbers = SuperpointNumbers.of(hierarchy.superpoint, hierarchy.segments_of_superpoints(hierarchy.default))
-    return LazySequence(len(images), partial(_superpoints, kept, observations, images, numbers, config))
 
+    def read(index: int) -> Tensor:
+        if index not in kept:
+            with torch.no_grad(), one_thread_per_operation():
+                kept[index] = pack(superpoint_image(observations[index], images[index], numbers, config))
+        return kept[index].unpack()
 
-def _superpoints(
-    kept: dict[int, Packed],
-    observations: Observations,
-    images: Sequence[Tensor],
-    numbers: SuperpointNumbers,
-    config: Config,
-    index: int,
-) -> Tensor:
-    if index not in kept:
-        with torch.no_grad(), one_thread_per_operation():
-            kept[index] = pack(superpoint_image(observations[index], images[index], numbers, config))
-    return kept[index].unpack()
-
-
-def _initial_labels(seen: Observations, index: int) -> Tensor:
-    return seen[index].initial_labels().long()
+    return LazySequence(len(images), read)
 
 
 def superpoint_image(seen: Observation, labels: Tensor, numbers: SuperpointNumbers, config: Config) -> Tensor:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.runtime.groups import most_frequent
+from torchjoint.runtime.groups import find, most_frequent, with_none
 
 
 class Changes(NamedTuple):
@@ -105,11 +105,9 @@ class LastingIds:
 
     def _known(self, cube: Tensor) -> tuple[Tensor, Tensor]:
         """The ids of cubes in the result before, and the ids before those, -1 = none."""
-        if not len(self._cube):
-            return torch.full_like(cube, -1), torch.full_like(cube, -1)
-        place = torch.searchsorted(self._cube, cube).clamp(max=len(self._cube) - 1)
-        known = self._cube[place] == cube
-        return torch.where(known, self._id[place], -1), torch.where(known, self._last[place], -1)
+        place, is_known = find(self._cube, cube)
+        place = place.where(is_known, -1)
+        return with_none(self._id)[place], with_none(self._last)[place]
 
 
 def _shared(ids: Tensor, segment: Tensor) -> list[tuple[int, int, int]]:

@@ -11,6 +11,7 @@ from torchjoint import ops
 from torchjoint.config import Config
 from torchjoint.labels.geodesic import MIN_POINTS as SPECK
 from torchjoint.labels.geodesic import nearest_labels, path_costs
+from torchjoint.runtime.groups import best_of_groups, counted_pairs
 from torchjoint.scene import Masks
 from torchjoint.views.observations import Observation
 
@@ -131,29 +132,22 @@ def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
 def _shown_labels(mask: Tensor, label: Tensor, point_labels: Tensor) -> _Shown:
     """Counts the points of each 3D label that an image shows; `label` [P]: of the points in masks `mask` [P]."""
     num_points = torch.bincount(point_labels)
-    num_labels = max(1, len(num_points))
-    key, count = torch.unique(mask * num_labels + label, return_counts=True)
-    return _Shown(num_points, torch.zeros_like(num_points).scatter_reduce_(0, key % num_labels, count, "amax"))
+    _, of_pair, count = counted_pairs(mask, label)
+    return _Shown(num_points, torch.zeros_like(num_points).scatter_reduce_(0, of_pair, count, "amax"))
 
 
 def _winners(part: Tensor, label: Tensor, num_parts: int, shown: _Shown) -> _Winners:
     """The most frequent label of points in each part; `part`, `label`: [P]; `shown`: of each label in the image."""
     num_points = torch.bincount(part, minlength=num_parts)
-    num_labels = max(1, len(shown.num_points))
-    key, count = torch.unique(part * num_labels + label, return_counts=True)
-    of_part = key // num_labels
-    most = torch.zeros(num_parts, dtype=torch.int64).scatter_reduce_(0, of_part, count, "amax")
-    is_most = count == most[of_part]
-    winner = torch.full((num_parts,), num_labels)
-    winner.scatter_reduce_(0, of_part[is_most], (key % num_labels)[is_most], "amin")
-    winner = torch.where(num_points > 0, winner, -1)
-
+    of_pair, labels, count = counted_pairs(part, label)
+    winner, most = best_of_groups(of_pair, labels, count, num_parts)
     is_one = most >= ONE_OBJECT * num_points.float()
     all_points, in_one_mask = (torch.cat([values, values.new_ones(1)])[winner] for values in shown)
     is_small = most < torch.where(is_one, LEAST_PART * all_points.float(), LEAST_PART_OF_SEVERAL * all_points.float())
     foreign = (num_points > 0) & is_small & (in_one_mask >= WHOLE * (all_points - most).float())
     decides = (num_points >= MIN_POINTS) & is_one & ~foreign
     chosen = winner.clamp(min=0)
-    strongest = torch.zeros(num_labels, dtype=torch.int64).scatter_reduce_(0, chosen, most * decides, "amax")
+    strongest = torch.zeros(max(1, len(shown.num_points)), dtype=torch.int64)
+    strongest.scatter_reduce_(0, chosen, most * decides, "amax")
     decides &= (num_points >= ENOUGH_POINTS) | (most == strongest[chosen])
     return _Winners(winner, num_points, decides, foreign)

@@ -20,15 +20,6 @@ from torchjoint.masks.networks import from_instances, from_panoptic, from_sam
 from torchjoint.scene.masks import Masks
 
 __all__ = [
-    "Masks",
-    "from_coco",
-    "from_instances",
-    "from_labels",
-    "from_module",
-    "from_panoptic",
-    "from_sam",
-    "from_stack",
-    "read_folder",
-    "read_masks",
-    "save_masks",
-]
+    "Masks", "from_coco", "from_instances", "from_labels", "from_module", "from_panoptic", "from_sam", "from_stack",
+    "read_folder", "read_masks", "save_masks",
+]  # fmt: skip

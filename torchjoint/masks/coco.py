@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,16 @@ def _score(annotation: Mapping[str, Any], name: str) -> float:
     return float(min(score, 2))  # a huge integer has no float; 2 is refused, too
 
 
+def _are_of_smaller_images(annotations: Sequence[Mapping[str, Any]], images: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether all polygons, at least five, lie in the first quarter of both sides of their images."""
+    with suppress(ArithmeticError, LookupError, TypeError, ValueError):  # damage, of which reading tells; run lengths
+        sizes = {image["id"]: (image["width"] / 4, image["height"] / 4) for image in images}
+        polygons = [(corners, sizes[one["image_id"]]) for one in annotations for corners in one["segmentation"]]
+        inside = (max(corners[::2]) <= right and max(corners[1::2]) <= low for corners, (right, low) in polygons)
+        return len(polygons) >= 5 and all(inside)
+    return False
+
+
 class CocoFile:
     """The masks of a COCO data set (`images` and `annotations`). A name is the stem of an image's file name."""
 
@@ -78,12 +89,20 @@ class CocoFile:
         with damage_is(f"{path}: expected images with file_name and id, annotations with image_id"):
             self._images = {Path(image["file_name"]).stem: image for image in data["images"]}
             self._annotations = dict_of([(image["id"], []) for image in data["images"]], "image")
-            for annotation in _without_groups(data["annotations"], str(path)):
+            annotations = _without_groups(data["annotations"], str(path))
+            for annotation in annotations:
                 self._annotations[annotation["image_id"]].append(annotation)
             named = [(one["id"], str(one["name"])) for one in data.get("categories", []) if "name" in one]
             self._categories = dict_of(named, "category")
+            unknown = {one["category_id"] for one in annotations if "category_id" in one} - set(self._categories)
         if len(self._images) < len(data["images"]):
             raise ValueError(f"{path}: expected images with different file names, got two of one name")
+        if unknown and self._categories:
+            told = f"{path}: no category has the id of some masks, which get no name"
+            warnings.warn(f"{told}: {sorted(unknown, key=str)[:9]}", stacklevel=3)
+        if _are_of_smaller_images(annotations, data["images"]):
+            told = "all polygons lie in a quarter of the width and height: were they drawn in smaller images?"
+            warnings.warn(f"{path}: {told}", stacklevel=3)
 
     @property
     def names(self) -> list[str]:

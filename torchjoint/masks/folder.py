@@ -20,12 +20,12 @@ from torchjoint.masks.coco import CocoFile
 from torchjoint.masks.networks import from_sam
 from torchjoint.masks.segmentation import Pixels, merged, pixels_of
 from torchjoint.runtime import bounds
-from torchjoint.runtime.archives import read_archive
-from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.archives import read_archive, write_archive
 from torchjoint.runtime.foreign_files import DAMAGE, dict_of, has_file, has_folder, is_there, read_json, read_text
 from torchjoint.runtime.threads import LazySequence, on_cpu, parallel_map
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.masks import Masks
+from torchjoint.scene.scene import evenly_spaced_indices
 
 #: The files that :func:`read_masks` reads, besides folders.
 SUFFIXES = (".png", ".npz", ".json")
@@ -78,16 +78,17 @@ def save_masks(path: Path | str, masks: Masks) -> None:
     if path.suffix != ".npz":
         raise ValueError(f"path: expected a file name with .npz, got {path.name}")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as partial:
-        arrays = {"atom": masks.atom.numpy(), "pairs": masks.pairs.numpy(), "mask_scores": masks.scores.numpy()}
-        arrays |= {key: np.array(of) for key, of in (("ids", masks.ids), ("names", masks.names)) if of}
-        np.savez_compressed(partial, **arrays)  # type: ignore[arg-type]
+    arrays = {"atom": masks.atom.numpy(), "pairs": masks.pairs.numpy(), "mask_scores": masks.scores.numpy()}
+    arrays |= {key: np.array(of) for key, of in (("ids", masks.ids), ("names", masks.names)) if of}
+    write_archive(path, arrays)
 
 
 def _read_json(path: Path) -> Masks:
     content = read_json(path, "masks")
     if not isinstance(content, Mapping):
         return from_sam(content)
+    if "images" in content:
+        raise ValueError(f"{path}: expected the masks of one image, got a COCO data set; give the file itself: {path}")
     if "annotations" not in content:
         raise ValueError(f"{path}: expected a list of masks, or a dict with annotations, got {', '.join(content)}")
     image: Any = content.get("image", {})
@@ -124,7 +125,8 @@ def _read_pngs(path: Path) -> Masks:
         raise ValueError(f"{path}: expected PNGs, one for each mask, got none")
     stems = [file.stem for file in files]
     scores = torch.tensor(_scores(path / METADATA, stems) or [1.0] * len(files), dtype=torch.float32)
-    return replace(merged(map(_read_png, files), len(files), None, scores, path.name), names=tuple(stems))
+    names = tuple("" if stem.isdecimal() else stem for stem in stems)  # SAM's numbers are no names
+    return replace(merged(map(_read_png, files), len(files), None, scores, path.name), names=names)
 
 
 def _read_png(file: Path) -> Pixels:
@@ -159,7 +161,12 @@ Readers = dict[str, Callable[[], Masks]]
 _SHOWN = 5
 
 
-def read_folder(folder: Path | str, scene: Scene, without: Literal["segment", "leave out"] = "segment") -> Scene:
+def read_folder(
+    folder: Path | str,
+    scene: Scene,
+    without: Literal["segment", "leave out"] = "segment",
+    max_frames: int | None = None,
+) -> Scene:
     """Adds masks to the frames of a scene. The masks of a frame are read when the frame is read.
 
     Masks belong to the frame of the same name. Names of masks may have one more suffix: ``frame-000001.masks.png``
@@ -169,6 +176,7 @@ def read_folder(folder: Path | str, scene: Scene, without: Literal["segment", "l
         folder: files and folders that :func:`read_masks` reads, one for each frame; or a COCO data set, one JSON file.
         scene: a scene whose frames have names.
         without: "segment" keeps frames without masks, and the segmenter segments them; "leave out" drops them.
+        max_frames: number of frames to use: those with masks first, and evenly spread over these; None: all.
 
     Raises:
         FileNotFoundError: there is no such folder or file.
@@ -180,25 +188,32 @@ def read_folder(folder: Path | str, scene: Scene, without: Literal["segment", "l
     """
     if without not in ("segment", "leave out"):
         raise ValueError(f"without: expected 'segment' or 'leave out', got {without!r}")
+    if max_frames is not None and max_frames < 0:
+        raise ValueError(f"max_frames: expected >= 0, got {max_frames}")
     folder = Path(folder)
     readers = _readers(folder)
     names = frame_names(scene.frames)
     of_frame = _matched(names, readers, folder)
-    missing = [name for name, reader in zip(names, of_frame, strict=True) if reader is None]
-    if len(missing) == len(names):
+    if not any(of_frame):
+        if len(readers) == 1:
+            next(iter(readers.values()))()  # its error may say why: a COCO data set
         raise ValueError(
             f"{folder}: no masks have the name of a frame: masks {_listed(sorted(readers))}; frames {_listed(names)}"
         )
-    if missing:
-        what = "segmented without masks" if without == "segment" else "left out"
-        warnings.warn(
-            f"masks: {len(missing)} of {len(names)} frames have none and are {what}: {_listed(missing)}", stacklevel=2
-        )
     frames = LazySequence(len(names), lambda index: _with_masks(scene.frames[index], of_frame[index]), names)
+    have, lack = ([i for i, one in enumerate(of_frame) if (one is None) == is_none] for is_none in (False, True))
+    most = len(names) if max_frames is None else max_frames
+    used = [have[place] for place in evenly_spaced_indices(len(have), most)]
+    count, what = len(names), "left out"
+    if without == "segment":
+        lack = [lack[place] for place in evenly_spaced_indices(len(lack), most - len(used))]
+        used = sorted(used + lack)
+        count, what = len(used), "segmented without masks"
+    if lack:
+        told = f"masks: {len(lack)} of {count} frames have none and are {what}"
+        warnings.warn(f"{told}: {_listed([names[index] for index in lack])}", stacklevel=2)
     masked = replace(scene, frames=frames)
-    if without == "segment" or not missing:
-        return masked
-    return masked.select_frames([index for index, reader in enumerate(of_frame) if reader is not None])
+    return masked if len(used) == len(names) else masked.select_frames(used)
 
 
 def check_files(folder: Path | str) -> None:

@@ -34,20 +34,11 @@ if TYPE_CHECKING:
     from torchjoint.metrics.modules import ScannetAveragePrecisionMetric
 
 __all__ = [
-    "AveragePrecision",
-    "ObjectsAndParts",
-    "ScannetAveragePrecisionMetric",
-    "SegmentationCovering",
-    "achievable_segmentation_accuracy",
-    "average_precision_objects",
-    "average_precision_parts",
-    "boundary_recall",
-    "mean_best_iou",
-    "objects_and_parts",
-    "scannet_average_precision",
-    "segmentation_covering",
+    "AveragePrecision", "ObjectsAndParts", "ScannetAveragePrecisionMetric", "SegmentationCovering",
+    "achievable_segmentation_accuracy", "average_precision_objects", "average_precision_parts", "boundary_recall",
+    "mean_best_iou", "objects_and_parts", "scannet_average_precision", "segmentation_covering",
     "undersegmentation_error",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> type:

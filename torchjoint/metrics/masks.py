@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.metrics.overlaps import INTEGERS, checked_labels, count_keys, places, renumber_by_value
+from torchjoint.metrics.overlaps import check_integers, checked_labels, count_keys, places, renumber_by_value
 
 
 class Intersections(NamedTuple):
@@ -68,9 +68,7 @@ def _points(pred: Tensor | Sequence[Tensor], target: Tensor) -> Iterator[Tensor]
 
 
 def _checked_points(points: Tensor, name: str, size: int) -> Tensor:
-    got = points.dtype if isinstance(points, Tensor) else type(points).__name__
-    if got not in INTEGERS:
-        raise TypeError(f"{name}: expected an integer tensor of points, got {got}")
+    check_integers(points, f"{name}: expected an integer tensor of points")
     if points.dim() != 1:
         raise ValueError(f"{name}: expected points of shape [M], got {tuple(points.shape)}")
     points = points.to("cpu", torch.int64).unique()

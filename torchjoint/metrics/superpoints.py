@@ -8,7 +8,7 @@ from statistics import fmean
 import torch
 from torch import Tensor
 
-from torchjoint.metrics.overlaps import INTEGERS, checked_pair, largest, overlap_tables, places, renumber_by_value
+from torchjoint.metrics.overlaps import check_integers, checked_pair, largest, overlap_tables, places, renumber_by_value
 from torchjoint.runtime.threads import on_cpu
 
 
@@ -116,9 +116,7 @@ def _reach(reached: Tensor, edges: Tensor, source: Tensor, sink: Tensor) -> None
 
 
 def _checked_edges(edge_index: Tensor, num_points: int) -> tuple[Tensor, Tensor]:
-    got = edge_index.dtype if isinstance(edge_index, Tensor) else type(edge_index).__name__
-    if got not in INTEGERS:
-        raise TypeError(f"edge_index: expected an integer tensor, got {got}")
+    check_integers(edge_index, "edge_index: expected an integer tensor")
     if edge_index.dim() != 2 or edge_index.shape[0] != 2 or edge_index.shape[1] == 0:
         raise ValueError(f"edge_index: expected shape [2, E] with E >= 1, got {list(edge_index.shape)}")
     edges = edge_index.to("cpu", torch.int64)

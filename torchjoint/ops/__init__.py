@@ -12,16 +12,6 @@ from torchjoint.ops.images import propagate_labels, ultrametric_contours
 from torchjoint.ops.points import fit_normals, nearest_neighbors, neighbor_edges, project, splat_depth
 
 __all__ = [
-    "connected_components",
-    "felzenszwalb",
-    "fit_normals",
-    "merge_regions",
-    "min_cut",
-    "nearest_neighbors",
-    "neighbor_edges",
-    "project",
-    "propagate_labels",
-    "region_dendrogram",
-    "splat_depth",
-    "ultrametric_contours",
-]
+    "connected_components", "felzenszwalb", "fit_normals", "merge_regions", "min_cut", "nearest_neighbors",
+    "neighbor_edges", "project", "propagate_labels", "region_dendrogram", "splat_depth", "ultrametric_contours",
+]  # fmt: skip

@@ -11,6 +11,7 @@ from torch import Tensor
 
 FLOATING = (torch.float32, torch.float64)
 MAX_NODES = 2**31 - 1
+Dtypes = torch.dtype | tuple[torch.dtype, ...]
 
 
 def check_tensor(name: str, value: object, dtypes: tuple[torch.dtype, ...]) -> None:
@@ -27,10 +28,7 @@ def check_tensor(name: str, value: object, dtypes: tuple[torch.dtype, ...]) -> N
 
 def check_edge_index(edge_index: object) -> None:
     """Raise unless ``edge_index`` is an int64 CPU tensor ``[2, E]``."""
-    check_tensor("edge_index", edge_index, (torch.int64,))
-    assert isinstance(edge_index, Tensor)
-    if edge_index.dim() != 2 or edge_index.shape[0] != 2:
-        raise ValueError(f"edge_index: expected shape [2, E], got {list(edge_index.shape)}")
+    check_array("edge_index", edge_index, torch.int64, (2, None), "[2, E]")
 
 
 def check_vector(name: str, value: object, length: int | None, length_name: str) -> None:
@@ -43,9 +41,9 @@ def check_vector(name: str, value: object, length: int | None, length_name: str)
         raise ValueError(f"{name}: expected shape [{length_name}] = [{length}], got {list(value.shape)}")
 
 
-def check_array(name: str, value: object, dtype: torch.dtype, shape: tuple[int | None, ...], shape_name: str) -> None:
-    """Raise unless ``value`` is a CPU tensor of the dtype and shape; None allows any length."""
-    check_tensor(name, value, (dtype,))
+def check_array(name: str, value: object, dtype: Dtypes, shape: tuple[int | None, ...], shape_name: str) -> None:
+    """Raise unless ``value`` is a CPU tensor of the dtype, or one of them, and of the shape; None: of any length."""
+    check_tensor(name, value, dtype if isinstance(dtype, tuple) else (dtype,))
     assert isinstance(value, Tensor)
     lengths_fit = all(want is None or have == want for have, want in zip(value.shape, shape, strict=False))
     if value.dim() != len(shape) or not lengths_fit:
@@ -72,11 +70,8 @@ def check_num_nodes(num_nodes: int) -> None:
 
 def check_neighbors(neighbors: object, length: int | None) -> None:
     """Raise unless ``neighbors`` is an int32 or int64 CPU tensor ``[length, K]``; None allows any length."""
-    check_tensor("neighbors", neighbors, (torch.int32, torch.int64))
-    assert isinstance(neighbors, Tensor)
-    if neighbors.dim() != 2 or (length is not None and neighbors.shape[0] != length):
-        expected = "[N, K]" if length is None else f"[N, K] = [{length}, K]"
-        raise ValueError(f"neighbors: expected shape {expected}, got {list(neighbors.shape)}")
+    expected = "[N, K]" if length is None else f"[N, K] = [{length}, K]"
+    check_array("neighbors", neighbors, (torch.int32, torch.int64), (length, None), expected)
 
 
 def check_order(order: Tensor | None, length: int) -> None:

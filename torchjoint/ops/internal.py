@@ -6,8 +6,6 @@ error names the argument. ``tests/reference/`` has a slow and simple Python vers
 
 from __future__ import annotations
 
-from typing import cast
-
 import torch
 from torch import Tensor
 
@@ -83,7 +81,7 @@ def structured_forest(
         ``[B, H, W]`` float32, >= 0.
     """
     trees = (children, features, thresholds, boundary_counts, boundary_pixels, trees_per_site)
-    return cast(Tensor, call(torch.ops.torchjoint.structured_forest.default, images, *trees, stride))
+    return call(torch.ops.torchjoint.structured_forest.default, images, *trees, stride)
 
 
 def window_overlaps(
@@ -106,7 +104,7 @@ def window_overlaps(
         ``[S]`` float64 in [0, 1]. In the order of ``point``, then of ``order``.
     """
     visible = (order, other_end, start, point, row, column)
-    return cast("tuple[Tensor, Tensor]", call(torch.ops.torchjoint.window_overlaps.default, *visible, labels, window))
+    return call(torch.ops.torchjoint.window_overlaps.default, *visible, labels, window)
 
 
 def line_maxima(
@@ -123,7 +121,7 @@ def line_maxima(
         then of ``order``.
     """
     visible = (order, other_end, start, point, row, column)
-    return cast("tuple[Tensor, Tensor]", call(torch.ops.torchjoint.line_maxima.default, *visible, image))
+    return call(torch.ops.torchjoint.line_maxima.default, *visible, image)
 
 
 # Step 6, method learned
@@ -156,7 +154,7 @@ def boosted_trees(
     dtypes = (torch.float64, torch.bool, torch.int32, torch.int32, torch.float64)
     for name, value, dtype in zip(names, trees[1:], dtypes, strict=True):  # trees come from users' files
         check_array(name, value, dtype, tuple(feature.shape), f"[T, M] = {list(feature.shape)}")
-    return cast(Tensor, call(torch.ops.torchjoint.boosted_trees.default, values, *trees))
+    return call(torch.ops.torchjoint.boosted_trees.default, values, *trees)
 
 
 def agreement_sums(
@@ -186,8 +184,7 @@ def agreement_sums(
         the resolution; sum of their squares; number of images that see both.
     """
     seen = (region, segment, num_points, segment_size, frame_of_segment, num_regions)
-    result = call(torch.ops.torchjoint.agreement_sums.default, *seen, pairs, min_points, resolution)
-    return cast("tuple[Tensor, Tensor, Tensor]", result)
+    return call(torch.ops.torchjoint.agreement_sums.default, *seen, pairs, min_points, resolution)
 
 
 def region_planes(
@@ -207,8 +204,7 @@ def region_planes(
         ``[N, 3]`` float32, the mean of the points in the region; ``[N, 3]`` float32, the normal, of unit length if it
         is fitted.
     """
-    kernel = torch.ops.torchjoint.region_planes.default
-    return cast("tuple[Tensor, Tensor]", call(kernel, points, neighbors, region, normals, min_points))
+    return call(torch.ops.torchjoint.region_planes.default, points, neighbors, region, normals, min_points)
 
 
 def mask_merges(
@@ -247,8 +243,7 @@ def mask_merges(
         stays = torch.zeros(len(size), dtype=torch.bool)
     masks = (in_mask, in_frame, weight, frame_of_mask, apart_weight, prior_weight)
     kernel = torch.ops.torchjoint.mask_merges.default
-    result = call(kernel, edge_index, cost, count, size, *masks, threshold, stays, min_size)
-    return cast("tuple[Tensor, Tensor]", result)
+    return call(kernel, edge_index, cost, count, size, *masks, threshold, stays, min_size)
 
 
 # Step 6, method scan
@@ -268,7 +263,7 @@ def local_spacing(points: Tensor, reach: Tensor, share: float, count: int) -> Te
         ``[N]`` float64 metres: 0 if the mean distance is at most ``share * reach``, infinite if it is more than
         ``reach`` or if there are too few points.
     """
-    return cast(Tensor, call(torch.ops.torchjoint.local_spacing.default, points, reach, share, count))
+    return call(torch.ops.torchjoint.local_spacing.default, points, reach, share, count)
 
 
 def gap_components(
@@ -291,8 +286,7 @@ def gap_components(
     Returns:
         ``[N]`` int64 labels 0, 1, ... in the order of their first points.
     """
-    kernel = torch.ops.torchjoint.gap_components.default
-    return cast(Tensor, call(kernel, points, gap, neighbors, used, min_size, joining))
+    return call(torch.ops.torchjoint.gap_components.default, points, gap, neighbors, used, min_size, joining)
 
 
 def ground_heights(
@@ -321,7 +315,7 @@ def ground_heights(
         ``[N]`` float64 metres above the sensor, the ground at each point.
     """
     seen, numbers = (azimuth, elevation, distance, height, used), (row_height, slope, step, bump, near, blind)
-    return cast(Tensor, call(torch.ops.torchjoint.ground_heights.default, *seen, num_columns, *numbers, sides))
+    return call(torch.ops.torchjoint.ground_heights.default, *seen, num_columns, *numbers, sides)
 
 
 def has_points_above(
@@ -343,7 +337,7 @@ def has_points_above(
     check_number("least", least, (int, float))
     check_number("most", most, (int, float))
     grid = (column, row, height, used, which, num_columns, num_rows)
-    return cast(Tensor, call(torch.ops.torchjoint.has_points_above.default, *grid, least, most))
+    return call(torch.ops.torchjoint.has_points_above.default, *grid, least, most)
 
 
 # Steps 7 and 8
@@ -366,8 +360,7 @@ def pair_counts(
         ``group`` ``[4, G]`` int64, rows lower segment, higher segment, lower label, higher label, in ascending order;
         and ``count`` ``[G]`` int64, the number of pairs in each group.
     """
-    kernel = torch.ops.torchjoint.pair_counts.default
-    return cast("tuple[Tensor, Tensor]", call(kernel, u, v, pixel, segment, label, radius))
+    return call(torch.ops.torchjoint.pair_counts.default, u, v, pixel, segment, label, radius)
 
 
 def segment_graphs(
@@ -393,8 +386,7 @@ def segment_graphs(
         ``relative_weight`` ``[e]`` float64, 0 if the mean is 0.
     """
     kernel = torch.ops.torchjoint.segment_graphs.default
-    result = call(kernel, labels, chosen, colors, boundary, color_weight, boundary_weight)
-    return cast("tuple[Tensor, Tensor, Tensor, Tensor, Tensor]", result)
+    return call(kernel, labels, chosen, colors, boundary, color_weight, boundary_weight)
 
 
 def outvoted_markers(markers: Tensor, colors: Tensor, color_weight: float, num_voters: int, near: float) -> Tensor:
@@ -414,8 +406,7 @@ def outvoted_markers(markers: Tensor, colors: Tensor, color_weight: float, num_v
     Returns:
         ``[H, W]`` bool.
     """
-    kernel = torch.ops.torchjoint.outvoted_markers.default
-    return cast(Tensor, call(kernel, markers, colors, color_weight, num_voters, near))
+    return call(torch.ops.torchjoint.outvoted_markers.default, markers, colors, color_weight, num_voters, near)
 
 
 # The shapes and dtypes of the results, for torch.compile

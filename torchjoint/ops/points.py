@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import torch
 from torch import Tensor
 
 from torchjoint.ops._call import call, dynamic_size, register_fakes
-from torchjoint.ops._checks import FLOATING, check_array, check_neighbors, check_number, check_order, check_tensor
+from torchjoint.ops._checks import FLOATING, check_array, check_neighbors, check_number, check_order
 
 
 def nearest_neighbors(
@@ -44,17 +42,14 @@ def nearest_neighbors(
         >>> distances.tolist()
         [[1.0, 1.0], [1.0, 2.0], [2.0, 3.0], [1.0, 2.0]]
     """
-    check_tensor("points", points, FLOATING)
-    if points.dim() != 2 or points.shape[1] != 3:
-        raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
+    check_array("points", points, FLOATING, (None, 3), "[N, 3]")
     check_number("count", count, (int,))
     if num_distances is None:
         num_distances = count
     check_number("num_distances", num_distances, (int,))
     if limits is not None:
         check_array("limits", limits, torch.float64, (len(points),), f"[N] = [{len(points)}]")
-    found = call(torch.ops.torchjoint.nearest_neighbors.default, points, count, num_distances, limits)
-    return cast(tuple[Tensor, Tensor], found)
+    return call(torch.ops.torchjoint.nearest_neighbors.default, points, count, num_distances, limits)
 
 
 def neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
@@ -84,7 +79,7 @@ def neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     """
     check_neighbors(neighbors, None)
     check_order(order, neighbors.shape[0])
-    return cast(Tensor, call(torch.ops.torchjoint.neighbor_edges.default, neighbors, order))
+    return call(torch.ops.torchjoint.neighbor_edges.default, neighbors, order)
 
 
 def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) -> Tensor:
@@ -118,12 +113,10 @@ def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) 
                 [1., 0., 0.],
                 [1., 0., 0.]])
     """
-    check_tensor("points", points, FLOATING)
-    if points.dim() != 2 or points.shape[1] != 3:
-        raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
+    check_array("points", points, FLOATING, (None, 3), "[N, 3]")
     check_neighbors(neighbors, points.shape[0])
     check_order(order, points.shape[0])
-    return cast(Tensor, call(torch.ops.torchjoint.fit_normals.default, points, neighbors, order))
+    return call(torch.ops.torchjoint.fit_normals.default, points, neighbors, order)
 
 
 def project(
@@ -172,8 +165,7 @@ def project(
     check_number("height", height, (int,))
     check_number("width", width, (int,))
     camera = (camera_from_world, intrinsics, float(near), float(far), height, width, float(margin))
-    result = call(torch.ops.torchjoint.project.default, points, *camera)
-    return cast(tuple[Tensor, Tensor, Tensor, Tensor], result)
+    return call(torch.ops.torchjoint.project.default, points, *camera)
 
 
 def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, height: int, width: int) -> Tensor:
@@ -210,8 +202,7 @@ def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, heigh
         check_array(name, value, dtype, (row.shape[0],), f"[M] = [{row.shape[0]}]")
     check_number("height", height, (int,))
     check_number("width", width, (int,))
-    result = call(torch.ops.torchjoint.splat_depth.default, row, column, depth, reach, height, width)
-    return cast(Tensor, result)
+    return call(torch.ops.torchjoint.splat_depth.default, row, column, depth, reach, height, width)
 
 
 def _nearest_neighbors(points: Tensor, count: int, num_distances: int, *_: object) -> tuple[Tensor, Tensor]:

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import time
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import yaml
 from tqdm import tqdm
 
-from torchjoint.config import Config
-from torchjoint.engine import EngineLike, Outcome, WorkerDied, open_engine
+from torchjoint.config import Config, read_yaml
+from torchjoint.engine import EngineLike, WorkerDied, open_engine
 from torchjoint.recordings.one_scene import Job, SceneReport, check_origin, is_done, report_of, run_scene
 from torchjoint.recordings.scene_list import FAILURES, RECORD, SUMMARY, find_recordings, possible_names
 from torchjoint.recordings.segment import RecordingOptions
-from torchjoint.results.checkpoint import model_checksums
 from torchjoint.results.folder import read_origin
-from torchjoint.runtime.files import remove_partial_files, write_text
-from torchjoint.runtime.foreign_files import csv_text, or_unreadable, read_text
+from torchjoint.runtime.files import file_checksum, remove_partial_files, write_text
+from torchjoint.runtime.foreign_files import csv_text, has_file, or_unreadable, read_text
 from torchjoint.runtime.messages import in_one_line, is_out_of_memory
 from torchjoint.runtime.outputs import lock
 
@@ -40,10 +41,12 @@ class Tables:
     Args:
         folder: of the batch.
         names: of all its scenes, in their order.
+        record: the parameters, for the batch's own file, which also tells what was written here.
+        written: checksums of the tables that an earlier batch wrote.
     """
 
-    def __init__(self, folder: Path, names: list[str]) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, names: list[str], record: dict[str, Any], written: dict[str, list[str]]) -> None:
+        self.folder, self._record, self._written = folder, record, written
         self.reports: dict[str, SceneReport] = {}
         self.failures: dict[str, str] = {}
         self._names = names
@@ -80,12 +83,19 @@ class Tables:
 
     def _write(self) -> None:
         """Writes both tables; without failures it removes failures.csv."""
-        write_text(self.folder / SUMMARY, self._summary())
-        if self.failures:
-            rows = [(name, self.failures[name]) for name in self._names if name in self.failures]
-            write_text(self.folder / FAILURES, csv_text([("scene", "reason"), *rows]))
-        else:
-            (self.folder / FAILURES).unlink(missing_ok=True)
+        rows = [(name, self.failures[name]) for name in self._names if name in self.failures]
+        texts = {SUMMARY: self._summary(), FAILURES: csv_text([("scene", "reason"), *rows]) if rows else None}
+        for name, text in texts.items():
+            _check_table(self.folder / name, self._written)
+            known = [file_checksum(self.folder / name)] if has_file(self.folder / name) else []
+            self._written[name] = [*known, *([] if text is None else [hashlib.sha256(text.encode()).hexdigest()])]
+        # First: after a kill each table is still known to be a batch's.
+        write_text(self.folder / RECORD, _text(self._record | {"tables": self._written}))
+        for name, text in texts.items():
+            if text is not None:
+                write_text(self.folder / name, text)
+            else:
+                (self.folder / name).unlink(missing_ok=True)
 
     def _summary(self) -> str:
         reports = [(name, self.reports[name]) for name in self._names if name in self.reports]
@@ -171,9 +181,9 @@ def batch(
     job = Job(_prepared(Path(out).absolute()), config, options, overwrite, allow_import)
     found = {_folder(job.out, name, path, named): path for name, path in named.items()}
     with lock(job.out / _LOCK, f"{out}: another batch is writing its results here; wait for it, or choose another"):
-        _check_record(job)
+        record, written = _check_record(job)
         remove_partial_files(job.out)
-        tables = Tables(job.out, list(found))
+        tables = Tables(job.out, list(found), record, written)
         todo, skipped = _sorted_out(job, tables, found)
         try:
             _run(job, todo, tables, engine, threads, progress)
@@ -193,19 +203,15 @@ def _run(job: Job, todo: dict[str, Path], tables: Tables, engine: EngineLike, th
     ):
         task = partial(run_scene, replace(job, tasks_on_machine=workers.on_machine))
         for outcome in workers.run(task, [(name, path.absolute()) for name, path in todo.items()]):
-            _note(names[outcome.index], outcome, tables)
+            name = names[outcome.index]
+            if outcome.value is not None:
+                tables.reports[name] = outcome.value
+            elif outcome.error is not None:
+                tables.failures[name] = _reason(outcome.error)
             bar.update()
             if tables.failures:
                 bar.set_postfix(failed=len(tables.failures))
             tables.save()
-
-
-def _note(name: str, outcome: Outcome[SceneReport], tables: Tables) -> None:
-    if outcome.value is not None:
-        tables.reports[name] = outcome.value
-    else:
-        assert outcome.error is not None
-        tables.failures[name] = _reason(outcome.error)
 
 
 def _reason(error: Exception) -> str:
@@ -232,29 +238,47 @@ def _folder(out: Path, name: str, path: Path, named: dict[str, Path]) -> str:
     return name
 
 
-def _check_record(job: Job) -> None:
-    """Writes the parameters of a new batch to a file; a batch that is resumed must have the same parameters."""
+def _check_record(job: Job) -> tuple[dict[str, Any], dict[str, list[str]]]:
+    """Writes the parameters of the batch, which one that is resumed must have, too; returns them, and known checksums.
+
+    A user's own files of the names of a batch's are errors, also with `overwrite`.
+    """
     file = job.out / RECORD
-    record = {"torchjoint": version("torchjoint"), "options": {**vars(job.options)}, "config": job.config.to_dict()}
-    if models := model_checksums(job.config):
-        record["models"] = models
-    text = yaml.safe_dump(record, sort_keys=False)
+    record = {"torchjoint": version("torchjoint"), **job.options.record(job.config), "config": job.config.to_dict()}
+    earlier, written = read_yaml(file, _parsed, "the parameters of a batch") if has_file(file) else ({}, {})
+    if earlier and not record.keys() - {"models"} <= earlier.keys():
+        raise FileExistsError(f"{file}: is of no batch; move it, or choose another folder")
     for name in (SUMMARY, FAILURES):
-        if not file.is_file() and (job.out / name).is_file() and not job.overwrite:
-            raise FileExistsError(f"{job.out / name}: is of no batch; choose another folder, or --overwrite")
-    if file.is_file() and file.read_text(encoding="utf-8", errors="replace") != text and not job.overwrite:
+        _check_table(job.out / name, written)
+    if earlier and earlier != yaml.safe_load(_text(record)) and not job.overwrite:
         raise ValueError(f"{job.out}: expected the parameters of {file}; choose another folder, or --overwrite")
-    write_text(file, text)
+    write_text(file, _text(record | {"tables": written}))
+    return record, written
+
+
+def _parsed(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, list[str]]]:
+    tables = {str(name): [*map(str, checksums)] for name, checksums in dict(values.get("tables", {})).items()}
+    return {name: value for name, value in values.items() if name != "tables"}, tables
+
+
+def _check_table(file: Path, written: dict[str, list[str]]) -> None:
+    """Checks that a table is as a batch wrote it: a user's own is not replaced, nor what a user wrote into it."""
+    if has_file(file) and file_checksum(file) not in written.get(file.name, ()):
+        raise FileExistsError(f"{file}: is not as a batch wrote it, and is kept; move it, or choose another folder")
+
+
+def _text(record: dict[str, Any]) -> str:
+    return yaml.safe_dump(record, sort_keys=False)
 
 
 def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[str, Path], tuple[str, ...]]:
     """The recordings without a result, and the names of those that have one; a damaged or other result is a failure."""
-    skipped = [name for name in found if not job.overwrite and or_unreadable(is_done, job.folder(name))]
+    skipped = [name for name in found if not job.overwrite and or_unreadable(is_done, job.out / name)]
     memory = tables.earlier_memory()
     for name in skipped:
         try:
             check_origin(job, name, found[name])
-            tables.reports[name] = report_of(job.folder(name), memory.get(name))
+            tables.reports[name] = report_of(job.out / name, memory.get(name))
         except (OSError, ValueError, TypeError) as error:
             tables.failures[name] = in_one_line(error)
     todo = {name: path for name, path in found.items() if name not in skipped}

@@ -50,16 +50,12 @@ class SceneReport:
 class Job:
     """The settings of a batch, for all its recordings."""
 
-    out: Path
+    out: Path  #: has a folder for each recording, by its name
     config: Config
     options: RecordingOptions
     overwrite: bool
     allow_import: bool = False
     tasks_on_machine: int | None = None  #: how many recordings a machine works on; None: what its cores allow
-
-    def folder(self, name: str) -> Path:
-        """The result folder of a recording."""
-        return self.out / name
 
 
 def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
@@ -69,7 +65,7 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
     """
     name, path = scene
     tasks_on_machine = job.tasks_on_machine or max(1, joblib.cpu_count() // torch.get_num_threads())
-    out, memory = job.folder(name), as_bytes(None) // tasks_on_machine
+    out, memory = job.out / name, as_bytes(None) // tasks_on_machine
     end = time.monotonic() + PATIENCE
     reset_peak_memory()
     with warnings.catch_warnings(record=True) as caught:
@@ -101,11 +97,15 @@ def is_done(out: Path) -> bool:
 
 def check_origin(job: Job, name: str, path: Path) -> None:
     """Compares where a result came from with what the batch would make."""
-    out = job.folder(name)
+    out = job.out / name
     origin = read_origin(out)
     files = fingerprint(path, own_files(out)) if is_there(path) and origin.fingerprint else origin.fingerprint
-    asked = Origin(str(path.absolute()), files, version("torchjoint"), job.config)
-    other = [field for field, one, two in zip(Origin._fields, asked, origin, strict=True) if one != two]
+    asked = Origin(str(path.absolute()), files, version("torchjoint"), job.config, job.options.record(job.config))
+    other = [
+        "options or models" if field == "made" else field
+        for field, one, two in zip(Origin._fields, asked, origin, strict=True)
+        if one != two
+    ]
     if other:
         raise ValueError(
             f"{out}: expected the result of {asked.scene}, got that of {origin.scene}; other {', '.join(other)}; "

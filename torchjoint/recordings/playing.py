@@ -29,7 +29,7 @@ class Played(NamedTuple):
     def told_dropped(self) -> str:
         """How many frames were dropped, and which, from 0: "4 dropped (2-4, 9)"; of many only how many."""
         if len(self.dropped) > len(self.seconds):
-            return f"{len(self.dropped)} dropped, more than half: a lower --rate, or --rate None, takes more"
+            return f"{len(self.dropped)} dropped, more than half: a lower --rate, or none, takes more"
         others = set(self.dropped)
         first = [one for one in self.dropped if one - 1 not in others]
         last = [one for one in self.dropped if one + 1 not in others]

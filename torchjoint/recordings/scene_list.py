@@ -105,11 +105,8 @@ def possible_names(path: Path) -> list[str]:
 
 
 def _name(path: Path, has_suffix: bool, depth: int) -> str:
-    return _folder_name("-".join(_parts(path, has_suffix)[-depth:]))
-
-
-def _folder_name(name: str) -> str:
     """The name of a result's folder; no file of the batch, and no file beside another result, has it."""
+    name = "-".join(_parts(path, has_suffix)[-depth:])
     is_free = name not in (RECORD, SUMMARY, FAILURES) and not name.endswith(".partial") and not name.startswith(".")
     return file_name(name, is_free=is_free)
 

@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+import torch
 
 from torchjoint.cloud.graph import PointGraph
 from torchjoint.config import Config
@@ -33,11 +36,14 @@ from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.outputs import check_no_input
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.scene.checks import as_direction
 from torchjoint.scene.frame import PoseDoubt, PoseWarning
 from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.scene.scene import voxel_subsample
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.visibility import in_any_view
+
+logger = logging.getLogger(__name__)
 
 #: Chunks for each worker, so that all workers finish at about the same time; and most frames in a chunk.
 CHUNKS, LARGEST = 4, 64
@@ -52,7 +58,7 @@ class RecordingOptions:
 
     Attributes:
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
-        max_frames: number of frames to use, evenly spread over the recording; None: all.
+        max_frames: number of frames to use, evenly spread over the recording, or over its frames with masks; None: all.
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         thin: keep one point per voxel of this size, metres, of clouds that are denser than their noise, or too large;
             None: all points.
@@ -66,6 +72,8 @@ class RecordingOptions:
         least_opacity: of Gaussian splats (a .ply), 0 to 1: fainter ones are no part of the cloud. `torchjoint label`
             gives them labels.
         format: of `torchjoint formats`, if the one that is detected is not the right one: cloud_alone.
+        up: upward direction x y z in the coordinates of the cloud, for boxes and pictures; None: what the format says,
+            +z of a cloud alone, else from the poses and the floor.
     """
 
     voxel_size: float = 0.02
@@ -80,6 +88,7 @@ class RecordingOptions:
     drop_invalid: bool = False
     least_opacity: float = 0.1
     format: str | None = None
+    up: tuple[float, float, float] | None = None
 
     def check(self, config: Config) -> None:
         """Raises ValueError if an option is out of range, or does not fit the parameters."""
@@ -87,6 +96,8 @@ class RecordingOptions:
             raise ValueError(f"--max-frames: expected >= 0, got {self.max_frames}")
         if self.thin is not None and not 0 < self.thin < float("inf"):
             raise ValueError(f"--thin: expected more than 0 metres, got {self.thin}")
+        if self.up is not None:
+            as_direction(torch.tensor(self.up, dtype=torch.float64), "--up")
         if self.granularity is None:
             return
         check_granularity(self.granularity, "--granularity")
@@ -94,8 +105,8 @@ class RecordingOptions:
             raise ValueError(f"--granularity: expected a method with levels, as in --preset default, got {method}")
 
     def source(self) -> str:
-        """The options that change a fused cloud, as text."""
-        return f"{self.voxel_size} {sorted(self.topics)} {self.time_limit}{f' {self.format}' if self.format else ''}"
+        """The options that change a fused cloud, or whether the poses of its frames were checked, as text."""
+        return f"{self.voxel_size} {sorted(self.topics)} {self.time_limit} {self.format} {self.ignore_poses}"
 
     def key(self) -> str:
         """The options that change the state of a run, as text."""
@@ -103,8 +114,16 @@ class RecordingOptions:
             f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within} {self.drop_invalid} {self.least_opacity}"
         )
 
+    def record(self, config: Config) -> dict[str, Any]:
+        """On what a result depends beside its recording and its parameters, as it is written to files."""
+        models, up = model_checksums(config), None if self.up is None else [*self.up]
+        options = vars(self) | {"topics": [*map(list, self.topics)], "up": up}
+        return {"options": options, **({"models": models} if models else {})}
+
     def cut_down(self, scene: Scene) -> Scene:
-        """Selects the frames and points of a recording that are used."""
+        """Selects the frames and points of a recording that are used; says what is up."""
+        if self.up is not None:
+            scene = replace(scene, up=torch.tensor(self.up, dtype=torch.float64))
         if self.max_frames is not None:
             scene = scene.sample_frames(self.max_frames)
         if self.in_view:
@@ -219,13 +238,13 @@ def segment_recording(
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")
-    files, of_masks = fingerprints(path, masks, out)
-    source = f"{files} {options.source()}"
+    before = fingerprints(path, masks, out)
+    source = f"{' '.join(fingerprints(path, masks, out, changed=True))} {options.source()}"
     if masks is not None:
-        source += f" {of_masks} {without_masks}"
+        source += f" {without_masks}"
     key = run_key(f"{source} {options.key()}", config)
     level = options.granularity
-    with output_folder(out, source, key=f"{key} {level}", overwrite=overwrite) as partial:
+    with output_folder(out, source, key=f"{key} {level} {options.up}", overwrite=overwrite) as partial:
         if partial is None:
             return None
         clock = Stopwatch()
@@ -235,7 +254,8 @@ def segment_recording(
             with nullcontext() if options.ignore_poses else _poses_must_fit():
                 scene = _load(path, partial, options, progress)
             if masks is not None:
-                scene = read_folder(masks, scene, "segment" if without_masks == "segment" else "leave out")
+                without: Literal["segment", "leave out"] = "segment" if without_masks == "segment" else "leave out"
+                scene = read_folder(masks, scene, without, options.max_frames)
             scene = options.cut_down(scene)
         checkpoint = Checkpoint(partial / STATE / "frames", key)
         segmenter = JointSegmenter(
@@ -246,14 +266,19 @@ def segment_recording(
         if level is not None:
             result = result.at(level)
         level = 0.5 if level is None else level
-        tell_if_changed(path, masks, out, (files, of_masks))
-        write_result(partial, scene, result, config, str(path), level, fingerprint=files, seconds=clock.seconds)
+        tell_if_changed(path, masks, out, before)
+        made = {"fingerprint": before[0], **options.record(config)}
+        if masks is not None:
+            made["masks"] = [str(masks.absolute()), without_masks]
+        logger.info("writing %s", out)
+        write_result(partial, scene, result, config, str(path), level, made=made, seconds=clock.seconds)
     return Segmented(result, segmenter, scene)
 
 
-def fingerprints(path: Path, masks: Path | None, out: Path) -> tuple[str, str]:
+def fingerprints(path: Path, masks: Path | None, out: Path, *, changed: bool = False) -> tuple[str, str]:
     """Of a recording and its masks."""
-    return fingerprint(path, own_files(out)), "" if masks is None else fingerprint(masks)
+    of = partial(fingerprint, without=own_files(out), changed=changed)
+    return of(path), "" if masks is None else of(masks)
 
 
 def tell_if_changed(path: Path, masks: Path | None, out: Path, before: tuple[str, str]) -> None:

@@ -1,6 +1,6 @@
 """Boxes around things, as programs for 3D annotation and networks for 3D detection take and give them.
 
-Their boxes turn about z alone, which must point up.
+Their boxes turn about z alone, which must point up: they are those of a turned cloud if up in the scene is far from z.
 """
 
 from __future__ import annotations
@@ -13,18 +13,21 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.results.objects import oriented_box
+from torchjoint.results.objects import level_axes, members, oriented_box
 from torchjoint.results.result import Result
+from torchjoint.results.upright import up_direction
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import read_json, read_text
 from torchjoint.runtime.messages import printable
+from torchjoint.scene import Scene
 
 Array = npt.NDArray[np.float64]
 #: The name of a thing without a name.
 UNNAMED = "thing"
 #: Metres: a point so near to a side is inside. Files hold millimetres.
 TOLERANCE = 1e-3
-_UP = np.array([0.0, 0.0, 1.0])
+#: Up in a scene is near z if its z, of unit length, is at least this: 10 degrees.
+LEVEL = math.cos(math.radians(10))
 
 
 class Box(NamedTuple):
@@ -40,16 +43,22 @@ class Box(NamedTuple):
         cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
         x, y, z = (points - self.center).T
         own = np.stack([cosine * x + sine * y, cosine * y - sine * x, z], 1)
-        inside: npt.NDArray[np.bool_] = (np.abs(own) <= np.array(self.size) / 2 + TOLERANCE).all(1)
-        return inside
+        return (np.abs(own) <= np.array(self.size) / 2 + TOLERANCE).all(1)
+
+
+def upright_points(scene: Scene) -> Array:
+    """The points [N, 3] of a scene, metres; turned so that z is up, if up is more than 10 degrees from it."""
+    up, points = up_direction(scene).numpy(), scene.points.double().numpy()
+    return points if up[2] >= LEVEL else points @ np.concatenate([level_axes(up), up[None]]).T
 
 
 def boxes_of(result: Result) -> dict[int, Box]:
-    """The box with the smallest base around each segment that has points, by its id."""
-    points, labels = result.scene.points.double().numpy(), result.points.numpy()
-    boxes = {}
-    for segment in np.unique(labels[labels >= 0]).tolist():
-        found = oriented_box(points[labels == segment], _UP)
+    """The box with the smallest base around each segment that has points, by its id, of the :func:`upright_points`."""
+    points, boxes = upright_points(result.scene), {}
+    for segment, part in enumerate(members(result)):
+        if not len(part):
+            continue
+        found = oriented_box(points[part], np.array([0.0, 0.0, 1.0]))
         yaw = math.atan2(found.axes[0, 1], found.axes[0, 0])
         name = result.segment_names.get(segment, UNNAMED)
         boxes[segment] = Box(name, _three(found.center.tolist()), _three(found.size.tolist()), yaw)
@@ -118,6 +127,8 @@ def read_boxes(file: Path) -> list[Box]:
         rows = [(number, line.split(maxsplit=7)) for number, line in enumerate(text.splitlines(), start=1)]
         return [_box(row[7:], row[:7], f"{file}, line {number}") for number, row in rows if row]
     record = read_json(file, "boxes")
+    if isinstance(record, dict) and {"images", "categories"} <= record.keys():
+        raise ValueError(f"{file}: expected boxes, got COCO's masks of images; they go into a new run: segment --masks")
     try:
         record = record.get("attributes", record)  # of a whole label of Segments.ai
         key = next((key for key in ("annotations", "items") if key in record), "objects")
@@ -154,7 +165,7 @@ def _of_labelcloud(record: Any) -> tuple[Any, list[Any], list[float]]:
 def _of_segmentsai(record: Any) -> tuple[Any, list[Any], list[float]]:
     numbers = [record[key][axis] for key in ("position", "dimensions") for axis in "xyz"]
     turn, name = record.get("rotation") or {}, (record.get("attributes") or {}).get("name")
-    name = UNNAMED if name == "" else "" if name is None else name
+    name = "" if name is None else name or UNNAMED
     return name, [*numbers, record["yaw"]], [float(turn.get(axis, 0)) for axis in ("qx", "qy")]
 
 

@@ -21,6 +21,7 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from torchjoint import ops
 from torchjoint.results.manifest import manifest_checksum
+from torchjoint.runtime import bounds
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, read_json
 from torchjoint.runtime.messages import printable
@@ -119,8 +120,7 @@ def _smaller_sides(tree: Table, sizes: Table, root: int) -> Table:
 
 
 def _parts(merges: Table, count: int) -> Table:
-    parts: Table = ops.connected_components(torch.from_numpy(merges).t(), count).numpy()
-    return parts
+    return ops.connected_components(torch.from_numpy(merges).t(), count).numpy()
 
 
 FILE = "edits.json"
@@ -167,16 +167,13 @@ class Edits:
         Returns:
             [P] the segment of each superpoint; the number of a segment is that of its first superpoint.
         """
-        for changed in self.tables(table, hierarchy):
-            table = changed
-        return table
+        *_, last = self.tables(table, hierarchy)
+        return last
 
     def tables(self, table: Table, hierarchy: Hierarchy | None) -> Iterator[Table]:
         """The table [P] before the corrections and after each that changes it; arguments as those of :meth:`apply`."""
         yield (table := first_superpoints(table))
-        for step in self.steps:
-            if step.kind == "name":
-                continue
+        for step in (one for one in self.steps if one.kind != "name"):
             if step.kind == "join":
                 ends = [table[superpoint] for superpoint in step.superpoints]
                 table = np.where(np.isin(table, ends), min(ends), table)
@@ -220,6 +217,8 @@ def read_edits(folder: Path, num_superpoints: int) -> Edits:
         # In files of 0.1.0 a name has no level of its own: the level of the file was the last to be seen.
         steps = tuple(_parse({"granularity": granularity, **step}, num_superpoints) for step in record["edits"])
         found, of = _integer(record["pieces"]), record.get("result")
+        levels = {one.granularity for one in steps if one.kind == "name"}
+        bounds.check(len(levels) * len(steps), bounds.LEVEL_STEPS, "corrections times levels of names")
     if found != num_superpoints:
         raise ValueError(f"{file}: expected edits of {num_superpoints} superpoints, got {found}; of another result?")
     if None not in (of, own) and of != own:

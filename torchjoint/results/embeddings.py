@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +15,10 @@ from torch.nn import functional
 
 from torchjoint.images.segmenter import eval_mode
 from torchjoint.results.objects import add_to_segments, image_views, read_segments, segment_records
-from torchjoint.runtime.archives import read_archive
-from torchjoint.runtime.files import atomic_write, no_link
+from torchjoint.runtime.archives import read_archive, write_archive
+from torchjoint.runtime.files import no_link
 from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.runtime.groups import counted_pairs
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.views.visibility import project
@@ -208,8 +210,8 @@ class Embeddings:
         path = Path(path)
         rows = self._rows(path) if has_folder(path) else None
         file = path if rows is None else path / FILE
-        with atomic_write(no_link(file)) as partial, partial.open("wb") as stream:
-            np.savez_compressed(stream, vectors=self.vectors.numpy(), labels=self.labels.to(torch.int32).numpy())
+        arrays = {"vectors": self.vectors.numpy(), "labels": self.labels.to(torch.int32).numpy()}
+        write_archive(no_link(file), arrays)
         if rows is not None:
             add_to_segments(path, {"embeddings": FILE}, rows)
 
@@ -251,11 +253,10 @@ def read_embeddings(folder: Path, num_points: int) -> Embeddings | None:
     return found
 
 
-def _shared(labels: Tensor, others: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Pairs [K] of a label and another one that have common points, and their number; -1 is in no pair."""
-    both, count = (labels >= 0) & (others >= 0), int(others.max()) + 1
-    pairs, points = torch.unique(labels[both] * count + others[both], return_counts=True)
-    return pairs // count, pairs % count, points
+def _shared(labels: Tensor, others: Tensor) -> Tensor:
+    """[3, K]: the pairs of a label and another one that have common points, and their number; -1 is in no pair."""
+    both = (labels >= 0) & (others >= 0)
+    return counted_pairs(labels[both], others[both])
 
 
 def embed(
@@ -276,18 +277,14 @@ def embed(
         pixels = {view.frame: view.pixels for view in views}
         crops = crops_of(scene, result, record.id, pixels, cameras, k, margin)
         if crops:
-            images = torch.stack([image for crop in crops for image in _inputs(crop, size)])
+            # The thing alone, and with what is around it.
+            inputs = [one for crop in crops for one in (torch.where(crop.mask, crop.image, GREY), crop.image)]
+            images = torch.stack([_square(one, size) for one in inputs])
             vectors[record.id] = _mean_vector(encoder, images)
     dimension = next((len(vector) for vector in vectors.values()), 0)
     zeros = torch.zeros(dimension, dtype=torch.float32)
     found = [vectors.get(segment, zeros) for segment in range(result.num_point_segments)]
     return Embeddings(torch.stack(found), result.points)
-
-
-def _inputs(crop: Crop, size: int) -> tuple[Tensor, Tensor]:
-    """The thing alone, and with what is around it."""
-    alone = torch.where(crop.mask, crop.image, GREY)
-    return _square(alone, size), _square(crop.image, size)
 
 
 def _square(image: Tensor, size: int) -> Tensor:
@@ -301,12 +298,8 @@ def _square(image: Tensor, size: int) -> Tensor:
 
 def _mean_vector(encoder: Encoder, images: Tensor) -> Tensor:
     """The mean direction of the vectors of some images, unit length."""
-    with torch.no_grad():
-        if isinstance(encoder, nn.Module):
-            with eval_mode(encoder):
-                found = encoder(images)
-        else:
-            found = encoder(images)
+    with torch.no_grad(), eval_mode(encoder) if isinstance(encoder, nn.Module) else nullcontext():
+        found = encoder(images)
     if not isinstance(found, Tensor) or found.dim() != 2 or len(found) != len(images):
         got = list(found.shape) if isinstance(found, Tensor) else type(found).__name__
         raise ValueError(f"encoder: expected vectors of shape [{len(images)}, D], got {got}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.results.render import label_colors, render_cloud
+from torchjoint.results.upright import SAMPLED, up_direction
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
@@ -48,7 +50,7 @@ def borders(labels: Tensor) -> Tensor:
 
 
 @on_cpu()
-def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
+def overview(scene: Scene, result: Segmentation, num_frames: int = 6, names: Collection[str] = ()) -> Any:
     """Draws a matplotlib figure: input, initial and final segmentation of some frames, and the cloud.
 
     In the final images and in the cloud, one colour is one object; pale segments contain no point of the cloud. The
@@ -58,28 +60,28 @@ def overview(scene: Scene, result: Segmentation, num_frames: int = 6) -> Any:
         scene: the cloud and its frames.
         result: the segmentation of the scene.
         num_frames: largest number of frames to show, evenly spread.
+        names: of the frames from which these are taken, such as those with masks; empty: from all.
     """
     from matplotlib.figure import Figure
 
-    count = min(num_frames, len(result.images))
+    frames = [index for index, name in enumerate(result.names) if name in names] or range(len(result.images))
+    chosen = [frames[place] for place in evenly_spaced_indices(len(frames), num_frames)]
+    count = len(chosen)
     width = 3.2 * max(count, 3)
-    chosen = evenly_spaced_indices(len(result.images), num_frames)
     shape = max((rows / columns for rows, columns in (result.images[index].shape for index in chosen)), default=0)
     frames_height = 3 * (width / max(count, 1) * shape + 0.15) + 0.2 if count else 0.0
-    figure = Figure(figsize=(width, frames_height + 0.38 * width), layout="constrained")
-    if not count:
-        _draw_cloud(figure, scene, result)
-        return _without_tex(figure)
-    parts: Any = figure.subfigures(2, 1, height_ratios=[frames_height, 0.38 * width])
-    top, bottom = parts
-    _draw_frames(top, scene, result, chosen)
+    figure: Any = Figure(figsize=(width, frames_height + 0.38 * width), layout="constrained")
+    bottom = figure
+    if count:
+        top, bottom = figure.subfigures(2, 1, height_ratios=[frames_height, 0.38 * width])
+        _draw_frames(top, scene, result, chosen)
     _draw_cloud(bottom, scene, result)
     return _without_tex(figure)
 
 
 @on_cpu()
 def cloud_figure(scene: Scene, labels: Tensor) -> Any:
-    """Draws a matplotlib figure: the cloud in its own colours, and in the colours of its labels.
+    """Draws a matplotlib figure: the cloud in its own colours, and in the colours of its superpoints.
 
     Args:
         scene: the cloud; its frames, if there are any, determine the upward direction.
@@ -88,7 +90,7 @@ def cloud_figure(scene: Scene, labels: Tensor) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 4.9), layout="constrained")
-    _draw_cloud(figure, scene, Segmentation(labels, ()))
+    _draw_cloud(figure, scene, Segmentation(labels, ()), "superpoints")
     return _without_tex(figure)
 
 
@@ -113,13 +115,26 @@ def _draw_frames(figure: Any, scene: Scene, result: Segmentation, chosen: list[i
         axes[0, column].set_title(printable(result.names[index]), fontsize=8, parse_math=False)
 
 
-def _draw_cloud(figure: Any, scene: Scene, result: Segmentation) -> None:
-    colors = scene.colors if scene.colors is not None else torch.full(scene.points.shape, 0.7)
+def _draw_cloud(figure: Any, scene: Scene, result: Segmentation, what: str = "segments") -> None:
+    colors = scene.colors
+    if is_plain := colors is None or bool((colors == colors[0]).all()):
+        colors = _colors_of_heights(scene)
     pictures = render_cloud(scene, torch.cat([colors, label_colors(result.points)], 1)).split(3, 2)
-    titles = ("cloud", f"cloud, {result.num_point_segments} segments")
+    titles = "cloud by height" if is_plain else "cloud", f"cloud, {result.num_point_segments} {what}"
     for axis, title, picture in zip(figure.subplots(1, 2), titles, pictures, strict=True):
         axis.imshow(_bytes(picture))
         axis.set(xticks=[], yticks=[], title=title)
+
+
+def _colors_of_heights(scene: Scene) -> Tensor:
+    """[N, 3] RGB in [0, 1]: dark blue is low, yellow is high."""
+    from matplotlib import colormaps
+
+    heights = scene.points.double() @ up_direction(scene)
+    low, high = np.quantile(heights[:: -(-len(heights) // SAMPLED)].numpy(), (0.02, 0.98))
+    share = ((heights - low) / max(high - low, 1e-9)).clamp(0, 1)
+    table = torch.from_numpy(colormaps["viridis"](np.arange(256))[:, :3]).float()
+    return table[(share * 255).long()]
 
 
 def _bytes(picture: Tensor) -> npt.NDArray[np.uint8]:

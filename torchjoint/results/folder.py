@@ -41,11 +41,12 @@ from torchjoint.results.manifest import (
     write_hierarchy,
     write_manifest,
 )
-from torchjoint.results.mask_report import names_of_masks
+from torchjoint.results.mask_report import frames_with_masks, names_of_masks
 from torchjoint.results.objects import write_segments
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
+from torchjoint.results.upright import up_direction
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.foreign_files import damage_is, has_file, no_twice, present
@@ -101,6 +102,7 @@ class Origin(NamedTuple):
     fingerprint: str | None  #: of its files; None in results of version 0.1.0
     version: str  #: of this package
     config: Config
+    made: dict[str, Any]  #: the options, models and masks; empty in results of `live`
 
 
 @on_cpu()
@@ -112,15 +114,15 @@ def write_result(
     source: str,
     granularity: float = 0.5,
     *,
-    fingerprint: str | None = None,
+    made: Mapping[str, Any] | None = None,
     seconds: Mapping[str, float] | None = None,
 ) -> None:
     """Writes points.ply, points.npz, segments.json, images/NAME.png, overview.png and run.yaml into a folder.
 
     The frames are written, too: cameras.json, inputs/NAME.jpg, and images_color/NAME.jpg with the labels over them.
     A result with a hierarchy also gets hierarchy.npz and pieces/NAME.png, from which any level can be computed. Then
-    run.yaml also records the granularity of the labels, and the wall-clock `seconds` of the run's parts before, with
-    those of writing. manifest.json has the checksums.
+    run.yaml also records the granularity of the labels, the values of `made`, and the wall-clock `seconds` of the run's
+    parts before, with those of writing. manifest.json has the checksums.
     """
     start = time.perf_counter()
     _remove_earlier(folder)
@@ -135,13 +137,12 @@ def write_result(
     if result.hierarchy is not None:
         write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.superpoint_images)
     write_inputs(folder, scene, result)
+    scene = replace(scene, up=up_direction(scene))
     if len(scene.frames):
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
     write_segments(folder, scene, result)
-    overview(scene, result).savefig(folder / "overview.png", dpi=100, pil_kwargs=PNG)
-    record = _run_record(scene, result, config, source, granularity, last_label)
-    if fingerprint is not None:
-        record["fingerprint"] = fingerprint
+    overview(scene, result, names=frames_with_masks(folder)).savefig(folder / "overview.png", dpi=100, pil_kwargs=PNG)
+    record = _run_record(scene, result, config, source, granularity, last_label) | dict(made or {})
     write_manifest(folder, record)
     parts = dict(seconds or {}) | {"write": time.perf_counter() - start}
     record["seconds"] = {part: round(value, 3) for part, value in parts.items()}
@@ -218,7 +219,7 @@ def read_config(folder: Path) -> Config:
 
 
 def read_source(folder: Path) -> str:
-    """Reads the input of the run that made a result: the recording's path, as it was given to `segment`."""
+    """Reads the path of the recording that was segmented; results of before have it as it was given to `segment`."""
     return read_run(folder, lambda record: str(record["scene"]))
 
 
@@ -227,18 +228,15 @@ def read_origin(folder: Path) -> Origin:
 
     def origin(record: Any) -> Origin:
         scene, known = os.path.abspath(str(record["scene"])), record.get("fingerprint")
-        return Origin(scene, known, record["versions"]["torchjoint"], Config.from_dict(record["config"]))
+        made = {name: record[name] for name in ("options", "models", "masks") if name in record}
+        return Origin(scene, known, record["versions"]["torchjoint"], Config.from_dict(record["config"]), made)
 
     return read_run(folder, origin)
 
 
 def read_granularity(folder: Path) -> float | None:
     """Reads the level of a result's labels; None if it has no levels."""
-
-    def level(record: Any) -> float | None:
-        return None if record.get("granularity") is None else float(record["granularity"])
-
-    return read_run(folder, level)
+    return read_run(folder, lambda record: None if (level := record.get("granularity")) is None else float(level))
 
 
 def read_record(folder: Path) -> tuple[dict[str, int], dict[str, float]]:
@@ -280,7 +278,8 @@ def _run_record(
         with suppress(PackageNotFoundError):  # a package may be optional
             versions[name] = version(name)
     return {
-        "scene": source,
+        "scene": os.path.abspath(source),  # a relative one would be another file in another folder
+        "up": [round(value, 6) + 0.0 for value in up_direction(scene).tolist()],
         **({} if result.hierarchy is None else {"granularity": granularity}),
         "counts": {
             "points": len(scene.points),
@@ -329,7 +328,9 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     if verify:
         _check_counts(folder, segmentation)
     frames = read_inputs(folder, segmentation.names, check) if has_file(folder / CAMERAS) else ()
-    scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name)
+    up = read_run(folder, lambda record: record.get("up"))  # results of earlier versions have none
+    up = None if up is None else torch.tensor(up, dtype=torch.float64)
+    scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name, up=up)
     values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
     vectors = read_embeddings(folder, len(stored.points))
     names = names_of_masks(folder)

@@ -27,6 +27,7 @@ from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import file_name
 from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.groups import with_none
 from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import without_return
@@ -120,7 +121,7 @@ def nearest_labels(result: Result, points: Tensor) -> Tensor:
 
     Arguments and errors as of :func:`nearest_points`.
     """
-    return torch.cat([result.points, result.points.new_full((1,), -1)])[nearest_points(result, points)]
+    return with_none(result.points)[nearest_points(result, points)]
 
 
 def nearest_points(result: Result, points: Tensor) -> Tensor:
@@ -163,7 +164,7 @@ def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
     points = las.read_las(source).points
     with damage_is(str(source)):
         nearest = nearest_points(result, points)
-    columns = {name: torch.cat([result.points, result.points.new_full((1,), -1)])[nearest].int().numpy()}
+    columns = {name: with_none(result.points)[nearest].int().numpy()}
     if sure is not None:
         columns[sureness] = torch.cat([sure, sure.new_zeros(1)])[nearest].float().numpy()
     write_labelled(source, out, columns)
@@ -203,13 +204,11 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
             of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
         if out.suffix == ".glb":
             _write_glb(out, mesh, of_face, result)
-        elif source.suffix.lower() != ".ply":
-            _write_mesh(out, mesh, of_vertex, of_face, name)
-        else:
-            records, labels = read_records(source), {"vertex": of_vertex.numpy()}
-            if of_face is not None and len(records.records.get("face", ())) == len(of_face):
-                labels["face"] = of_face.numpy()
-            write_bytes(out, records.with_labels(name, labels))
+            return
+        records, labels = _records(source, mesh), {"vertex": of_vertex.numpy()}
+        if of_face is not None and len(records.records.get("face", ())) == len(of_face):
+            labels["face"] = of_face.numpy()
+        write_bytes(out, records.with_labels(name, labels))
 
 
 @on_cpu()
@@ -225,34 +224,39 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
     folder.mkdir()
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
-        parts = read_records(source) if source.suffix.lower() == ".ply" else _records(mesh)
+        parts = _records(source, mesh)
         for segment in of_vertex[of_vertex >= 0].unique().tolist():
             which, triangles = of_vertex == segment, None
             if mesh.faces is not None:
                 inside = mesh.faces[which[mesh.faces].all(1)]
                 triangles = (which.cumsum(0) - 1)[inside].numpy()
-            file = folder / f"{_stem(segment, result)}.ply"
+            file = folder / f"{file_stem(segment, result)}.ply"
             file.write_bytes(parts.some_vertices(which.numpy(), triangles))
 
 
 def _read(source: Path) -> CloudFile:
     suffix = source.suffix.lower()
+    if suffix in las.SUFFIXES:
+        raise ValueError(
+            f"{source}: expected a mesh or a .ply, for a folder of parts; export --format ply writes parts"
+        )
     if suffix not in (".ply", *meshes.SUFFIXES):
         raise ValueError(f"{source}: expected a file that ends in {', '.join(('.ply', *meshes.SUFFIXES))}")
-    return read_ply(source) if suffix == ".ply" else meshes.read_mesh_file(source)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*: no position, normal or colour by these names")  # they stay in the file
+        return read_ply(source) if suffix == ".ply" else meshes.read_mesh_file(source)
 
 
-def _stem(segment: int, result: Result) -> str:
+def file_stem(segment: int, result: Result) -> str:
+    """The name of the file of a segment, without suffix."""
     name = result.segment_names.get(segment)
     return f"{segment:06d}" if name is None else file_name(f"{segment:06d}-{name}")
 
 
-def _write_mesh(out: Path, mesh: CloudFile, of_vertex: Tensor, of_face: Tensor | None, name: str) -> None:
-    labels = {"vertex": of_vertex.numpy()} | ({} if of_face is None else {"face": of_face.numpy()})
-    write_bytes(out, _records(mesh).with_labels(name, labels))
-
-
-def _records(mesh: CloudFile) -> PlyRecords:
+def _records(source: Path, mesh: CloudFile) -> PlyRecords:
+    """The records of a .ply, or those that another mesh has as a .ply."""
+    if source.suffix.lower() == ".ply":
+        return read_records(source)
     with tempfile.TemporaryDirectory() as temporary:
         write_cloud(Path(temporary) / "mesh.ply", mesh.points, mesh.colors, faces=mesh.faces)
         return read_records(Path(temporary) / "mesh.ply")
@@ -271,5 +275,5 @@ def _write_glb(out: Path, mesh: CloudFile, of_face: Tensor | None, result: Resul
         color = (label_colors(torch.tensor([segment])) * 255).round().to(torch.uint8).expand(len(corners), 3)
         vertices = mesh.points[corners].numpy() - origin
         part = trimesh.Trimesh(vertices, faces.numpy(), vertex_colors=color.numpy(), process=False, validate=False)
-        scene.add_geometry(part, _stem(segment, result), _stem(segment, result), transform=place)
+        scene.add_geometry(part, file_stem(segment, result), file_stem(segment, result), transform=place)
     write_bytes(out, scene.export(file_type="glb"))

@@ -127,10 +127,8 @@ def write_hierarchy(
         superpoint_images: [H, W] int64 per image, -1 = none.
     """
     if hierarchy.num_superpoints - 1 > MAX_SUPERPOINT:
-        raise ValueError(
-            f"hierarchy: {hierarchy.num_superpoints} superpoints do not fit 24-bit images "
-            f"(at most {MAX_SUPERPOINT + 1})"
-        )
+        count = f"{hierarchy.num_superpoints} superpoints"
+        raise ValueError(f"hierarchy: {count} do not fit 24-bit images (at most {MAX_SUPERPOINT + 1})")
     arrays = {"piece": hierarchy.superpoint, "merges": hierarchy.merges}
     if hierarchy.votes is not None:
         arrays |= dict(zip(_VOTES, hierarchy.votes, strict=True))
@@ -159,8 +157,9 @@ def read_hierarchy(folder: Path, num_points: int) -> Hierarchy:
     present(file, "a result with all levels; point_segments.method paper makes one")
     with damage_is(f"{file}: not a whole hierarchy", OSError):
         arrays = read_archive(file)
-        superpoint, merges = (torch.from_numpy(arrays[name].astype(np.int64)) for name in ("piece", "merges"))
-        found = [torch.from_numpy(arrays[name].astype(np.int64)) for name in _VOTES if name in arrays]
+        names = ["piece", "merges", *(name for name in _VOTES if name in arrays)]
+        whole = (arrays[name].astype(np.int64, casting="same_kind") for name in names)  # floats would be cut
+        superpoint, merges, *found = map(torch.from_numpy, whole)
         votes = Votes(*found) if found else None
         hierarchy = Hierarchy(superpoint, merges, torch.from_numpy(arrays["heights"]), float(arrays["default"]), votes)
     if len(hierarchy.superpoint) != num_points:

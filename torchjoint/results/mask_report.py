@@ -16,6 +16,7 @@ from torchjoint.results.edits import LONGEST
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
+from torchjoint.runtime.groups import counted_pairs
 from torchjoint.runtime.messages import printable
 from torchjoint.scene import Masks
 from torchjoint.scene.segmentation import level_images
@@ -72,8 +73,7 @@ def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskMatche
     pixels = torch.bincount(of_pixel, minlength=num_labels + 1)
     covered = torch.bincount(of_pixel[masks.covered().flatten()], minlength=num_labels + 1)
     # Pixels of each pair of an atom and a label, then of each pair of a mask and a label.
-    pair, number = torch.unique(masks.atom.flatten().long() * (num_labels + 1) + of_pixel, return_counts=True)
-    atom, label = pair.div(num_labels + 1, rounding_mode="floor"), pair % (num_labels + 1)
+    atom, label, number = counted_pairs(masks.atom.flatten().long(), of_pixel)
     records = []
     for mask, area in enumerate(masks.areas().tolist()):
         inside = torch.zeros(masks.num_atoms, dtype=torch.bool)
@@ -95,12 +95,22 @@ def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskMatche
     return MaskMatches(records, pixels[1 : num_segments + 1], covered[1 : num_segments + 1])
 
 
-def count_masks(folder: Path) -> tuple[int, int] | None:
-    """How many masks became a segment, and how many there are; None: the result has no masks.json."""
+def count_masks(folder: Path) -> tuple[int, int, int] | None:
+    """How many masks became a segment of the cloud, of their image alone, and how many there are; None: no masks."""
     if not has_file(folder / FILE):
         return None
-    masks = [mask["iou"] for frame in _read(folder)["frames"] for mask in frame["masks"]]
-    return sum(iou >= FOUND for iou in masks), len(masks)
+    report = _read(folder)
+    masks, of_cloud = (
+        [mask for one in report["frames"] for mask in one["masks"]],
+        {one["id"] for one in report["segments"]},
+    )
+    found = [mask["segment"] in of_cloud for mask in masks if mask["iou"] >= FOUND]
+    return sum(found), len(found) - sum(found), len(masks)
+
+
+def frames_with_masks(folder: Path) -> list[str]:
+    """The names of the frames that have masks; none without masks.json."""
+    return [frame["name"] for frame in _read(folder)["frames"]] if has_file(folder / FILE) else []
 
 
 def names_of_masks(folder: Path) -> dict[int, str]:

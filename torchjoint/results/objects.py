@@ -131,22 +131,17 @@ class SegmentRecord:
         }
 
 
-def segment_records(scene: Scene, result: Segmentation, up: Tensor | None = None) -> list[SegmentRecord]:
+def segment_records(scene: Scene, result: Segmentation) -> list[SegmentRecord]:
     """Describes each segment of the cloud.
 
     Args:
-        scene: the cloud; its frames, if any, give the upward direction.
+        scene: the cloud; its upward direction is that of the boxes.
         result: its labels, and those of the images.
-        up: [3] upward direction of the boxes, unit length; None: as :func:`~torchjoint.results.upright.up_direction`.
 
     Returns:
         a record for each id 0 ... num_point_segments - 1, in this order.
     """
-    vertical = (up_direction(scene) if up is None else up).double().numpy()
-    labels = result.points.numpy()
-    order = np.argsort(labels, kind="stable")
-    counts = np.bincount(labels[order][labels[order] >= 0], minlength=result.num_point_segments)
-    parts = np.split(order[(labels < 0).sum() :], np.cumsum(counts)[:-1])
+    vertical = up_direction(scene).numpy()
     views, confidence = _views(result), result.confidence
     points, colors = scene.points.double().numpy(), None if scene.colors is None else scene.colors.double().numpy()
     return [
@@ -159,16 +154,22 @@ def segment_records(scene: Scene, result: Segmentation, up: Tensor | None = None
             None if confidence is None else float(confidence[number]),
             tuple(views[number]),
         )
-        for number, part in enumerate(parts)
+        for number, part in enumerate(members(result))
         if len(part)
     ]
 
 
+def members(result: Segmentation) -> list[npt.NDArray[np.int64]]:
+    """The points of each segment 0 ... num_point_segments - 1, ascending. All at once: a search for each takes long."""
+    labels = result.points.numpy()
+    counts = np.bincount(labels[labels >= 0], minlength=result.num_point_segments)
+    return np.split(np.argsort(labels, kind="stable")[(labels < 0).sum() :], np.cumsum(counts)[:-1])
+
+
 def write_segments(folder: Path, scene: Scene, result: Segmentation) -> None:
     """Writes segments.json: the upward direction, and a line for each segment of the cloud."""
-    up = up_direction(scene)
-    head = {"units": "metres", "up": _rounded(up.tolist(), 6)}
-    _write(folder, head, [record.to_dict() for record in segment_records(scene, result, up)])
+    head = {"units": "metres", "up": _rounded(up_direction(scene).tolist(), 6)}
+    _write(folder, head, [record.to_dict() for record in segment_records(scene, result)])
 
 
 def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int] | None = None) -> None:

@@ -25,9 +25,10 @@ from typing import NamedTuple
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.folder import PARTS
 from torchjoint.results.manifest import FILE as MANIFEST
-from torchjoint.runtime.files import no_link
+from torchjoint.runtime.files import PARTIAL, no_link
 from torchjoint.runtime.foreign_files import damage_is, read_json
 from torchjoint.runtime.outputs import (
+    FULL,
     SOURCE,
     Seen,
     check_no_input,
@@ -64,8 +65,7 @@ class _Marker(NamedTuple):
     @classmethod
     def read(cls, file: Path) -> _Marker | None:
         """None if there is no marker, or one that no run wrote there."""
-        text = read_sealed(file)
-        if text is None:
+        if (text := read_sealed(file)) is None:
             return None
         with damage_is(f"{file}: damaged; move its folder, then start again"):
             key, before = json.loads(text)
@@ -140,7 +140,9 @@ def output_folder(
         work_folder(places.partial, source)
         try:
             yield places.partial
-        except BaseException:
+        except BaseException as error:
+            if isinstance(error, OSError) and error.errno in FULL:  # which name no file
+                error.filename = error.filename or str(places.partial)
             is_ours = held.is_held() and places.partial.is_dir()
             if is_ours and [path.name for path in places.partial.iterdir()] == [SOURCE]:  # nothing to resume
                 shutil.rmtree(places.partial)
@@ -201,9 +203,17 @@ def _tidy(folder: Path, marker: str) -> None:
     (folder / marker).unlink()
 
 
+#: Hidden files that systems and writers leave in any folder.
+_LEFT = (".DS_Store", "._*", ".directory", ".nfs*", ".fuse_hidden*", f"{PARTIAL}*", ".*.lock")
+
+
+def _is_left(path: Path) -> bool:
+    is_filled_lock = path.suffix == ".lock" and path.lstat().st_size > 0  # ours are empty
+    return any(fnmatch(path.name, name) for name in _LEFT) and not (path.is_dir() or is_filled_lock)
+
+
 def _is_part(path: Path) -> bool:
-    is_known = any(fnmatch(path.name, part) for part in (*PARTS, COMPLETE))
-    return is_known or (path.name.startswith(".") and not path.is_dir())  # hidden files are of the system
+    return _is_left(path) or any(fnmatch(path.name, part) for part in (*PARTS, COMPLETE))
 
 
 def _others(path: Path) -> Iterator[Path]:
@@ -214,7 +224,7 @@ def _others(path: Path) -> Iterator[Path]:
         frames = {Path(name).stem for name in listed}
     for one in path.iterdir() if path.is_dir() and not path.is_symlink() else ():
         is_own = one.suffix in (".png", ".jpg") and not one.is_dir() and (not frames or one.stem in frames)
-        if not is_own and not one.name.startswith("."):
+        if not is_own and not _is_left(one):
             yield one
 
 

@@ -22,12 +22,11 @@ from torchjoint.results.objects import level_axes
 from torchjoint.results.parts import Parts
 from torchjoint.results.render import Shading, label_colors
 from torchjoint.results.result import Result
-from torchjoint.results.upright import up_direction, view_from_above
+from torchjoint.results.upright import fitted, up_direction
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.messages import needed_for, printable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
-from torchjoint.scene.checks import as_direction
 from torchjoint.scene.scene import evenly_spaced_indices
 
 #: Largest number of points and of images in the page, and height of an image in pixels.
@@ -38,20 +37,19 @@ SCRIPT, STYLE = (Path(__file__).with_name(f"page.{kind}") for kind in ("js", "cs
 
 
 @on_cpu()
-def write_page(path: Path, result: Result, up: Tensor | None = None, edits: Edits | None = None) -> int:
+def write_page(path: Path, result: Result, edits: Edits | None = None) -> int:
     """Writes a page that works in any browser, without a network; an earlier file is replaced atomically.
 
     Args:
         path: file to write.
         result: the labels, and the scene; its truth, if it has one, can be shown in place of the labels.
-        up: [3] upward direction; None: as :func:`~torchjoint.results.upright.up_direction`.
         edits: corrections of the result, and the level that is shown first.
 
     Returns:
         the number of points that it shows: all, or an even selection of them; the page shows this number.
     """
     scene, parts = result.scene, Parts(result)
-    upward = (up_direction(scene) if up is None else as_direction(up, "up")).numpy()
+    upward = up_direction(scene).numpy()
     keep = torch.arange(0, len(scene.points), max(1, -(-len(scene.points) // MOST_POINTS)))
     levels, first = _levels(parts, edits or Edits(parts.count))
     points = f"{len(keep)} of {len(scene.points)} points" if len(keep) < len(scene.points) else f"{len(keep)} points"
@@ -107,7 +105,7 @@ def _figure(scene: Scene, keep: Tensor, up: npt.NDArray[np.float64]) -> Any:
     with needed_for("an HTML file of a result", "plotly", "torchjoint[viewer]"):
         import plotly.graph_objects as go
 
-    center, eye = view_from_above(scene, up)
+    eye, center, _ = fitted(scene, up, 0.8, 1.5)  # plotly fits the cloud: only the direction counts
     upright = np.concatenate([level_axes(up), up[None]])  # turns `up` to +z, which plotly's camera keeps upright
     shown = (scene.points[keep].double().numpy() - center) @ upright.T
     x, y, z = (shown / max(float(np.abs(shown).max()), 1e-9) * 32767).round().astype(np.int16).T  # small, in any unit
@@ -163,12 +161,13 @@ def _picture(parts: Parts, index: int) -> str:
     code = Image.fromarray(np.stack([small >> shift & 255 for shift in (0, 8, 16)], axis=2).astype(np.uint8))
     name = escape(printable(result.names[index]))
     sources = "".join(f'<img src="data:image/{kind};base64,{data}">' for kind, data in (
-        ("jpeg", _encoded(photo, "jpeg", quality=80)), ("png", _encoded(code, "png", optimize=True)),
+        ("jpeg", encoded_image(photo, "jpeg", quality=80)), ("png", encoded_image(code, "png", optimize=True)),
     ))  # fmt: skip
     return f'<canvas class="picture" title="{name}">{sources}</canvas>'
 
 
-def _encoded(image: Image.Image, kind: str, **options: Any) -> str:
+def encoded_image(image: Image.Image, kind: str, **options: Any) -> str:
+    """The bytes of an image as text, for an address in a page."""
     stream = io.BytesIO()
     image.save(stream, kind, **options)
     return _base64(stream.getvalue())

@@ -52,8 +52,12 @@ def pick(result: Segmentation, cloud: Tensor, chosen: Prompts, negative: Prompts
         )
     hierarchy = result.hierarchy
     of_point = result.points if hierarchy is None else hierarchy.superpoint
-    inside = wanted if hierarchy is None else _grown(hierarchy, wanted, unwanted)
-    superpoints = torch.tensor(sorted(inside))
+    segments = result.points[torch.isin(of_point, torch.tensor(sorted(wanted)))].unique()
+    if not unwanted and len(segments) == 1:  # as the labels have it, with corrections
+        superpoints = of_point[result.points == segments].unique()
+    else:
+        inside = wanted if hierarchy is None else _grown(hierarchy, wanted, unwanted)
+        superpoints = torch.tensor(sorted(inside))
     return Pick(torch.isin(of_point, superpoints), superpoints)
 
 
@@ -63,9 +67,8 @@ def _grown(hierarchy: Hierarchy, wanted: set[int], unwanted: set[int]) -> set[in
     merges, heights = hierarchy.merges[order].tolist(), hierarchy.heights[order].tolist()
     limit = max(hierarchy.default, _height_of_all(hierarchy, wanted))
     groups = DisjointSet(range(hierarchy.num_superpoints))
-    ended = [
-        superpoint in unwanted for superpoint in range(hierarchy.num_superpoints)
-    ]  # groups that cannot grow: one above has one
+    # Groups that cannot grow: one above has an unwanted one.
+    ended = [superpoint in unwanted for superpoint in range(hierarchy.num_superpoints)]
     for (a, b), height in zip(merges, heights, strict=True):
         if height > limit:
             break

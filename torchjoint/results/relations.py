@@ -7,6 +7,7 @@ the surfaces there say what the contact means. Everything is geometry: no class 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -22,7 +23,6 @@ from torchjoint.results.objects import FILE, add_to_segments, level_axes, orient
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.scene import Scene, Segmentation
-from torchjoint.scene.checks import as_direction
 
 if TYPE_CHECKING:
     import networkx
@@ -39,6 +39,8 @@ LEAST = 3
 LEVEL, WALL = 0.75, 0.35
 #: A contact is at the bottom (top) of a thing if at most this share of the thing's points are below (above) it.
 END = 0.15
+#: What reaches down to this share of the points does not hang: it is the floor, or stands there.
+LOWEST = 0.05
 #: A thing that seems to float stands on the level surface below it, if the gap is at most this share of its height: its
 #: feet are hidden. The surface is sought at most BESIDE metres beside the thing.
 GAP, BESIDE = 0.3, 0.3
@@ -74,17 +76,20 @@ class Relations:
 
     relations: tuple[Relation, ...]
     labels: Tensor = field(compare=False, repr=False)  #: [N] int64, the segment of each point
+    names: Mapping[int, str] = field(default_factory=dict, compare=False, repr=False)  #: by segment; :meth:`load`: none
 
     def of(self, segment: int) -> list[Relation]:
         """All relations of a segment."""
         return [one for one in self.relations if segment in (one.first, one.second)]
 
     def to_networkx(self) -> networkx.MultiDiGraph:
-        """A graph with a node for each segment and an edge for each relation; "touches" has one in both directions."""
+        """Nodes: the segments, with "name" and the number of "points"; edges: relations, "touches" both directions."""
         import networkx
 
         graph = networkx.MultiDiGraph()
-        graph.add_nodes_from(self.labels[self.labels >= 0].unique().tolist())  # joined ids have no points
+        found = self.labels[self.labels >= 0].unique(return_counts=True)  # joined ids have no points
+        for segment, count in zip(*(values.tolist() for values in found), strict=True):
+            graph.add_node(segment, name=self.names.get(segment, ""), points=count)
         for one in self.relations:
             pairs = [(one.first, one.second), (one.second, one.first)][: 2 if one.kind == "touches" else 1]
             graph.add_edges_from(pairs, kind=one.kind, area=one.area, share=one.share)
@@ -134,20 +139,22 @@ class _Cloud:
     level: Array  #: [N, 2] metres across it
     tilt: Array  #: [N] |cosine| between the normal and the upward direction
     local: Array  #: [N] the distance of neighbouring points around each point, metres
+    low: float  #: the height below which nothing hangs
     members: dict[int, npt.NDArray[np.int64]]  #: the points of each segment that has any
 
 
-def relations(scene: Scene, result: Segmentation, up: Tensor | None = None) -> Relations:
+def relations(scene: Scene, result: Segmentation) -> Relations:
     """Finds the relations; see :meth:`torchjoint.results.result.Result.graph`."""
-    vertical = (up_direction(scene) if up is None else as_direction(up, "up")).numpy()
+    vertical = up_direction(scene).numpy()
     points, labels = scene.points.double().numpy(), result.points.numpy()
     indices, distances = ops.nearest_neighbors(scene.points, NEIGHBORS)
     cloud = _Cloud(
         labels,
-        points @ vertical,
+        heights := points @ vertical,
         points @ level_axes(vertical).T,
         _tilt(scene.points, indices, result.points, vertical),
         distances[:, :4].double().mean(1).numpy(),
+        float(np.quantile(heights, LOWEST)),
         {one: np.nonzero(labels == one)[0] for one in np.unique(labels).tolist() if one >= 0},
     )
     found: list[Relation] = []
@@ -201,10 +208,13 @@ def _carried(cloud: _Cloud, contact: _Contact, upper: int, lower: int) -> Relati
     level, wall = float((cloud.tilt[others] > LEVEL).mean()), float((cloud.tilt[others] < WALL).mean())
     if level > 0.5 and at > at_other and (is_flat or (heights < at).mean() <= END):
         return Relation("stands on", upper, lower, contact.area, level)
-    if level > 0.5 and at < at_other and not is_flat and (heights > at).mean() <= END:
+    own_area, area = ((cloud.local[cloud.members[one]] ** 2).sum() for one in (upper, lower))
+    if is_flat or heights.min() <= cloud.low or own_area >= area:
+        return None
+    if level > 0.5 and at < at_other and (heights > at).mean() <= END:
         return Relation("hangs on", upper, lower, contact.area, level)
     is_along = np.ptp(cloud.heights[own]) > 0.5 * tall
-    if wall > 0.5 and is_along and not is_flat and np.ptp(cloud.heights[cloud.members[lower]]) > tall:
+    if wall > 0.5 and is_along and np.ptp(cloud.heights[cloud.members[lower]]) > tall:
         return Relation("hangs on", upper, lower, contact.area, wall)
     return None
 

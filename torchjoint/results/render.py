@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -12,10 +14,9 @@ from torchjoint.cloud.normals import estimate_normals
 from torchjoint.config import VisibilityConfig
 from torchjoint.results.edits import Table
 from torchjoint.results.objects import level_axes
-from torchjoint.results.upright import up_direction
+from torchjoint.results.upright import fitted, up_direction
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
-from torchjoint.scene.scene import evenly_spaced_indices
 from torchjoint.views.visibility import visible_points
 
 NONE_COLOR = 0.12
@@ -61,7 +62,7 @@ def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tenso
 
 @on_cpu()
 def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640)) -> Tensor:
-    """Renders the cloud, upright, from behind and above the cameras (without cameras: from a corner).
+    """Renders the whole cloud, upright, from behind and above the cameras.
 
     Args:
         scene: the points; the frames determine the view.
@@ -76,51 +77,24 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
     intrinsics = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
     spacing = nearest_neighbors(scene.points, 4).spacing.clamp(min=1e-6)
     config = VisibilityConfig(footprint=1.0)
-    seen = visible_points(scene.points, spacing, intrinsics, _bird_view(scene), size, config)
+    view = fitted(scene, up_direction(scene).numpy(), 2 * math.atan(height / 2 / focal), width / height)
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3] = torch.from_numpy(np.column_stack([view.axes, -view.axes @ view.position]))
+    seen = visible_points(scene.points, spacing, intrinsics, pose, size, config)
     # Draw each point as a square of its own spacing, near points over far points.
     far_first = torch.argsort(seen.z, descending=True, stable=True)
-    radius = (0.6 * spacing[seen.point] * focal / seen.z).round().clamp(0, LARGEST).long()[far_first]
+    radius = (0.9 * spacing[seen.point] * focal / seen.z).round().clamp(0, LARGEST).long()[far_first]
     row, column, paint = seen.row[far_first], seen.column[far_first], colors[seen.point[far_first]]
     picture, depth = torch.ones(height * width, colors.shape[1], dtype=torch.float32), torch.full((height * width,), -1)
     order = torch.arange(len(far_first))
     for down in range(-LARGEST, LARGEST + 1):
         for right in range(-LARGEST, LARGEST + 1):
-            here = (radius >= max(abs(down), abs(right))) & _inside(row + down, column + right, size)
-            depth.scatter_reduce_(0, ((row + down) * width + column + right)[here], order[here], "amax")
+            y, x, is_in = row + down, column + right, radius >= max(abs(down), abs(right))
+            here = is_in & (y >= 0) & (y < height) & (x >= 0) & (x < width)
+            depth.scatter_reduce_(0, (y * width + x)[here], order[here], "amax")
     drawn = depth >= 0
     picture[drawn] = paint[depth[drawn]]
     return picture.view(height, width, -1)
-
-
-def _inside(row: Tensor, column: Tensor, size: tuple[int, int]) -> Tensor:
-    return (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
-
-
-def _bird_view(scene: Scene) -> Tensor:
-    """World-to-camera pose [4, 4] of a camera that looks down at the centre of the cloud."""
-    points = scene.points[:: max(1, len(scene.points) // 100_000)].double()
-    center = points.median(dim=0).values
-    radius = (points - center).norm(dim=1).quantile(0.9).clamp(min=1e-6)
-    up, forward = _up_and_forward(scene)
-    forward = torch.nn.functional.normalize(forward - 0.9 * up, dim=0)  # down at about 40 degrees
-    right = torch.nn.functional.normalize(torch.linalg.cross(forward, up), dim=0)
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = torch.stack([right, torch.linalg.cross(forward, right), forward])
-    pose[:3, 3] = -(pose[:3, :3] @ (center - 2.6 * radius * forward))
-    return pose
-
-
-def _up_and_forward(scene: Scene) -> tuple[Tensor, Tensor]:
-    """The upward direction, and the mean level viewing direction of the cameras, [3] each."""
-    up = up_direction(scene)
-    forward = torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)
-    if len(scene.frames):
-        chosen = evenly_spaced_indices(len(scene.frames), 16)
-        forward = torch.stack([scene.frames[i].world_to_camera[2, :3] for i in chosen]).double().mean(0)
-    forward = forward - up * (up @ forward)
-    if float(forward.norm()) < 1e-3:  # cameras that look straight down, or in all directions
-        forward = torch.linalg.cross(up, up.roll(1))
-    return up, torch.nn.functional.normalize(forward, dim=0)
 
 
 class Shading:

@@ -86,7 +86,8 @@ class Result(Segmentation):
             ValueError: an unknown id.
         """
         segment = check_segment(segment, self.points)
-        cloud = Scene(self.scene.points, colors=self.scene.colors, name=f"{self.scene.name} {segment}".strip())
+        name, up = f"{self.scene.name} {segment}".strip(), self.scene.up
+        cloud = Scene(self.scene.points, colors=self.scene.colors, name=name, up=up)
         return cloud.select_points(self.points == segment)
 
     def crops(self, segment: int, k: int = 3, margin: float = 0.1) -> list[Crop]:
@@ -138,19 +139,15 @@ class Result(Segmentation):
             raise ValueError("embeddings: none were saved with this result; result.embed(encoder).save(folder) does it")
         return self.embeddings.find(query, k)
 
-    def graph(self, up: Tensor | None = None) -> Relations:
+    def graph(self) -> Relations:
         """Which segments of the cloud stand on, hang on, contain and touch which, from geometry alone.
 
-        Args:
-            up: [3] upward direction; None: from the cameras and the large planes.
+        What is up, the scene says: :class:`torchjoint.Scene`.
 
         Returns:
             the relations; ``graph.of(segment)``, ``graph.to_networkx()``.
-
-        Raises:
-            ValueError, TypeError: `up` is no direction.
         """
-        return relations(self.scene, self, up)
+        return replace(relations(self.scene, self), names=self.segment_names)
 
     def to_open3d(self) -> Any:
         """The cloud as ``open3d.t.geometry.PointCloud``: in the colours of its segments, which "labels" [N, 1] tells.
@@ -175,9 +172,9 @@ class Result(Segmentation):
     ) -> Pick:
         """Picks the segment that contains some points and pixels, and none of others.
 
-        Without a negative, it is the segment of the default level, or, if the chosen points lie in several of them, the
-        smallest one that contains all. With negatives, each chosen point gives the largest segment inside it that
-        contains no negative, and the pick is all of these together.
+        Without a negative, it is their segment in :attr:`points`, with corrections, or, if they lie in several, the
+        smallest one of the hierarchy that contains all. With negatives, each chosen point gives the largest segment of
+        the hierarchy that contains no negative, and the pick is all of these together.
 
         Args:
             points: [K] int64 indices of points, or [K, 3] float positions, metres; a position stands for the nearest

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
@@ -10,14 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import torch
 from scipy.sparse import csr_array
 
 from torchjoint.datasets.files.text import read_record
-from torchjoint.results.boxes import UNNAMED, Box, boxes_of
+from torchjoint.results.boxes import UNNAMED, Box, boxes_of, upright_points
 from torchjoint.results.edits import FILE, Edit, Edits, Table, read_edits, write_edits
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
-from torchjoint.runtime.foreign_files import dict_of
+from torchjoint.runtime import bounds
+from torchjoint.runtime.foreign_files import damage_is, dict_of, read_text
+from torchjoint.runtime.groups import best_of_groups
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.outputs import lock
 
@@ -87,7 +92,7 @@ def edits_of_points(parts: Parts, before: Edits, labels: ForeignLabels) -> tuple
     named = [
         Edit("name", (first[one],), name)
         for one, name in sorted(labels.names.items())
-        if one in first and _told(name) != _told(names.get(int(table[first[one]]), ""))
+        if one in first and _told(name) and _told(name) != names.get(int(table[first[one]]), "").strip()
     ]
     lost = int((labelled & (labels.of_point != of_superpoint[parts.of_point])).sum())
     return (*gathered, *named), lost
@@ -97,11 +102,8 @@ def _most(group: Table, ids: Table, count: int) -> Table:
     """[count] the id that most members of a group have, the lowest of several; 0: the group has no members."""
     numbers, of_member = np.unique(ids, return_inverse=True)
     pairs, sizes = np.unique(group * len(numbers) + of_member, return_counts=True)
-    groups, of_pair = np.divmod(pairs, max(len(numbers), 1))
-    order = np.lexsort((-of_pair, sizes))
-    most = np.zeros(count, dtype=np.int64)
-    most[groups[order]] = numbers[of_pair[order]]  # the last of a group stays
-    return most
+    groups, of_pair, sizes = map(torch.from_numpy, (*np.divmod(pairs, max(len(numbers), 1)), sizes))
+    return np.append(numbers, 0)[best_of_groups(groups, of_pair, sizes, count)[0].numpy()]  # -1: the 0 at the end
 
 
 #: Smallest IoU, in points, of a box with that of its segment.
@@ -117,6 +119,7 @@ class BoxEdits(NamedTuple):
     joined: int  #: segments that have joined others
     named: int  #: segments whose name has changed
     empty: tuple[int, ...]  #: boxes that are those of no segment
+    stayed: int = 0  #: segments whose box was deleted, and which lie in no other
 
 
 def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray[np.int64]) -> BoxEdits:
@@ -125,20 +128,19 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray
     Each box belongs to one segment: the pairs are taken by the IoU of the points in the box with those in the segment's
     own box, largest first (ties: the first box, the lowest id). So boxes that nobody edited change nothing. A segment
     whose box was deleted joins the segment of the smallest box that holds more than half of its points; otherwise it
-    stays. The name of a box becomes that of the segment; UNNAMED removes it.
+    stays. The name of a box becomes that of the segment; without one, or with UNNAMED, the segment keeps its name: the
+    file may be older than the name.
 
     Args:
         result: its labels are those from which the boxes were exported, with all corrections before.
         boxes: after the edits, in any order.
         superpoint: [N] the superpoint of each point, which does not change with corrections.
     """
-    points, labels = result.scene.points.double().numpy(), result.points.numpy()
+    points, labels = upright_points(result.scene), result.points.numpy()
     own = boxes_of(result)
     inside = _members(boxes, points)
     segment_of = _matches(inside, _members([*own.values()], points), [*own])
-    known = np.flatnonzero(labels >= 0)
-    first = np.full(int(labels.max()) + 1, len(points))
-    np.minimum.at(first, labels[known], superpoint[known])
+    first, known = _first_superpoints(result, superpoint), np.flatnonzero(labels >= 0)
     shape = len(points), len(first)
     of_segment = csr_array((np.ones(len(known), np.int64), (known, labels[known])), shape=shape)
     shares = ((inside @ of_segment) / np.maximum(of_segment.sum(0), 1)).tocsc()  # [B, S]
@@ -149,13 +151,59 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray
         holder = next((number for number in by_size if held[number] > INSIDE), None)
         if holder is not None:
             steps.append(Edit("join", (int(first[segment_of[holder]]), int(first[segment]))))
-    joined = len(steps)
-    for number, segment in sorted(segment_of.items()):
-        name = _told(boxes[number].name)
-        if boxes[number].name and _words(name) != _words(_told(result.segment_names.get(segment, ""))):
-            steps.append(Edit("name", (int(first[segment]),), name))
+    stayed = len(own) - len(set(segment_of.values())) - len(steps)
+    named = edits_of_names(result, {one: boxes[number].name for number, one in segment_of.items()}, superpoint)
     empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
-    return BoxEdits(tuple(steps), joined, len(steps) - joined, empty)
+    return BoxEdits((*steps, *named), len(steps), len(named), empty, stayed)
+
+
+def read_names(file: Path, result: Result) -> dict[int, str] | None:
+    """Reads new names of segments in a table of `export --format csv`; None: the file has another suffix.
+
+    Programs may have written ; for , and may have left out rows or columns other than id, name and points.
+
+    Raises:
+        ValueError: it has no such columns, or a name is that of no segment of the result, or of one with other points.
+    """
+    if file.suffix.lower() != ".csv":
+        return None
+    text = read_text(file, "a table of segments in UTF-8", bounds.JSON_BYTES)
+    header = text.partition("\n")[0]
+    table = csv.DictReader(io.StringIO(text), delimiter=";" if header.count(";") > header.count(",") else ",")
+    if not {"id", "name", "points"} <= set(table.fieldnames or ()):
+        raise ValueError(f"{file}: expected the columns id, name and points of `export --format csv`, got {header!r}")
+    sizes = dict(enumerate(np.bincount(result.points[result.points >= 0].numpy()).tolist()))
+    names = []
+    with damage_is(str(file), csv.Error):
+        for row in table:
+            number, points, name = ((row[column] or "").strip() for column in ("id", "points", "name"))
+            segment = int(number) if number.isdecimal() and len(number) < 10 else -1
+            name = printable(name).removeprefix("'")  # csv_text's, before what would be computed
+            if name in ("", result.segment_names.get(segment, "")):
+                continue
+            if (known := str(sizes.get(segment, 0))) != points:
+                told = f"segment {number} has {known} points, the table says {points}: corrections are newer than it"
+                raise ValueError(f"line {table.line_num}: {name!r}: {told}; export it again, or leave the name out")
+            names.append((segment, name))
+    return dict_of(names, f"{file}: id")
+
+
+def edits_of_names(result: Result, names: Mapping[int, str], superpoint: npt.NDArray[np.int64]) -> tuple[Edit, ...]:
+    """The corrections that give segments their names; arguments as of :func:`edits_of_boxes`."""
+    first, before = _first_superpoints(result, superpoint), result.segment_names
+    return tuple(
+        Edit("name", (int(first[segment]),), _told(name))
+        for segment, name in sorted(names.items())
+        if _told(name) and _words(name) != _words(before.get(segment, ""))
+    )
+
+
+def _first_superpoints(result: Result, superpoint: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """The lowest superpoint of each segment, by which corrections know it."""
+    labels = result.points.numpy()
+    first = np.full(int(labels.max()) + 1, len(labels))
+    np.minimum.at(first, labels[labels >= 0], superpoint[labels >= 0])
+    return first
 
 
 def _members(boxes: Sequence[Box], points: npt.NDArray[np.float64]) -> csr_array:
@@ -171,8 +219,8 @@ def _told(name: str) -> str:
 
 
 def _words(name: str) -> str:
-    """A name as OpenPCDet's files have it, without spaces."""
-    return "_".join(name.split())
+    """A name as OpenPCDet's files have it, without spaces, and without an apostrophe of `csv_text`."""
+    return "_".join(name.split()).removeprefix("'")
 
 
 def _matches(inside: csr_array, own: csr_array, segments: Sequence[int]) -> dict[int, int]:
@@ -190,6 +238,8 @@ def _matches(inside: csr_array, own: csr_array, segments: Sequence[int]) -> dict
 
 
 Steps = tuple[Edit, ...]
+#: Longest time to wait until another program has saved, seconds: a viewer saves each correction once.
+PATIENCE = 5.0
 
 
 def save_edits(folder: Path, edits: Edits, before: Edits, parts: Parts) -> Edits:
@@ -204,7 +254,7 @@ def save_edits(folder: Path, edits: Edits, before: Edits, parts: Parts) -> Edits
     Returns:
         what edits.json now holds: the corrections of the others, then the own ones.
     """
-    with lock(folder / f".{FILE}.lock", f"{folder / FILE}: another program is saving; save again"):
+    with lock(folder / f".{FILE}.lock", f"{folder / FILE}: another program is saving; save again", PATIENCE):
         saved = read_edits(folder, edits.num_superpoints)
         theirs = saved.steps if (folder / FILE).exists() else before.steps  # who has moved the file, has undone nothing
         if saved.of != edits.of:

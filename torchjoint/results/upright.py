@@ -1,8 +1,9 @@
-"""The upward direction of a scene: from the poses, then from the large planes of the cloud (output after step 8)."""
+"""The upward direction of a scene, from the poses and the large planes of the cloud, and views of it (after step 8)."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,18 +24,25 @@ SEARCH_ANGLE, WIDE_SEARCH_ANGLE = 20.0, 55.0
 FLAT = 8.0
 #: A plane counts if it has at least this share of the points.
 SMALLEST_SHARE = 0.03
+#: Share of the points that may lie beyond each edge of a view, and its distance in that from which the others just fit.
+LEFT_OUT, MARGIN = 0.003, 1.05
 
 
 @one_thread_per_operation()
 def up_direction(scene: Scene) -> Tensor:
     """Estimates the direction against gravity, in the world frame of the scene.
 
-    Most cameras are held upright, so their x axes are level. This gives a first direction; without frames it is +z. The
-    normal of the largest plane near it, such as a floor or a table, makes it exact.
+    It is the scene's own, if it has one, and +z without frames: the ground of a survey may slope. Most cameras are held
+    upright, so their x axes are level. This gives a first direction; the normal of the largest plane near it, such as a
+    floor or a table, makes it exact.
 
     Returns:
         [3] float64, unit length; the same for the same scene.
     """
+    if scene.up is not None:
+        return scene.up
+    if not len(scene.frames):
+        return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     up, angle = _of_poses(scene)
     normals = _normals(scene.points)
     found = _largest_plane(normals, up, angle)
@@ -43,8 +51,6 @@ def up_direction(scene: Scene) -> Tensor:
 
 def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     """The upward direction according to the poses, and its largest error in degrees."""
-    if not len(scene.frames):
-        return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64), SEARCH_ANGLE
     count = min(32, len(scene.frames))
     chosen = torch.linspace(0, len(scene.frames) - 1, count, dtype=torch.float32).long().tolist()
     rotations = torch.stack([scene.frames[i].world_to_camera[:3, :3] for i in chosen])
@@ -81,19 +87,38 @@ def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
     return best if int((near @ best > flat).sum()) >= SMALLEST_SHARE * len(normals) else None
 
 
-def view_from_above(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], ...]:
-    """Chooses a view of the whole cloud: from above, in the mean viewing direction of the cameras.
+class View(NamedTuple):
+    """A place from which a cloud is seen."""
+
+    position: npt.NDArray[np.float64]  #: [3] metres
+    target: npt.NDArray[np.float64]  #: [3] metres, in the middle of what is seen
+    axes: npt.NDArray[np.float64]  #: [3, 3], one a row: to the right, down, forward
+
+
+def fitted(scene: Scene, up: npt.NDArray[np.float64], fov: float, aspect: float) -> View:
+    """A view of the whole cloud, from above, looking where the cameras look.
 
     Args:
-        scene: the cloud and its frames.
-        up: [3] unit length.
-
-    Returns:
-        the centre of the cloud and the position of the viewer, [3] metres each.
+        scene: the cloud and its cameras.
+        up: [3] upward direction, unit length.
+        fov: vertical field of view, radians.
+        aspect: width / height of the picture.
     """
     points = scene.points[:: -(-len(scene.points) // SAMPLED)].double().numpy()
-    center = np.median(points, axis=0)
-    radius = max(float(np.quantile(np.linalg.norm(points - center, axis=1), 0.9)), 1e-6)
+    center, forward = np.median(points, axis=0), _forward(scene, up)
+    right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
+    axes = np.stack([right, np.cross(forward, right), forward])
+    at = (points - center) @ axes.T
+    slope = np.tan(fov / 2) * np.array([aspect, 1])
+    low = np.quantile(at[:, :2] + slope * at[:, 2:], LEFT_OUT, axis=0)  # the left, the right, the upper and the lower
+    high = np.quantile(at[:, :2] - slope * at[:, 2:], 1 - LEFT_OUT, axis=0)  # edge of the picture pass by these places
+    distance = max(float(((high - low) / slope).max()) / 2, 1e-6)
+    target = center + (low + high) / 2 @ axes[:2]
+    return View(target - MARGIN * distance * forward, target, axes)
+
+
+def _forward(scene: Scene, up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """The direction [3] of a view from above, in the mean viewing direction of the cameras; unit length."""
     count = min(16, len(scene.frames))
     chosen = np.linspace(0, max(len(scene.frames) - 1, 0), count).astype(int).tolist()
     forward = sum((scene.frames[i].world_to_camera[2, :3].numpy() for i in chosen), np.zeros(3))
@@ -102,4 +127,4 @@ def view_from_above(scene: Scene, up: npt.NDArray[np.float64]) -> tuple[npt.NDAr
     if np.linalg.norm(forward) < 0.3 * max(count, 1):  # cameras that look down, or around, as in a room with four walls
         forward, down = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]), 1.4
     forward = forward / np.linalg.norm(forward) - down * up
-    return center, center - 2.2 * radius * forward / np.linalg.norm(forward)
+    return np.asarray(forward / np.linalg.norm(forward))

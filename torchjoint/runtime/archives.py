@@ -6,7 +6,7 @@ import math
 import os
 import warnings
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,15 +14,19 @@ import numpy as np
 import numpy.typing as npt
 
 from torchjoint.runtime import bounds
+from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import damage_is, no_twice, open_file, present
 
 
-def read_archive(path: Path, names: Collection[str] | None = None) -> dict[str, npt.NDArray[Any]]:
+def read_archive(
+    path: Path, names: Collection[str] | None = None, most: int | None = None
+) -> dict[str, npt.NDArray[Any]]:
     """Reads the arrays of an archive by name.
 
     Args:
         path: of the archive.
         names: of the arrays to read; names that the archive lacks are ignored; None: all arrays.
+        most: bytes of all arrays; None: only what the size of the file allows.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -33,10 +37,18 @@ def read_archive(path: Path, names: Collection[str] | None = None) -> dict[str, 
     with damage_is(f"{path}: not a whole archive of arrays", OSError), zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
         _check_number(archive, len(entries))
-        bounds.check_unpacked(sum(entry.file_size for entry in entries), path.stat().st_size)
+        size = sum(entry.file_size for entry in entries)
+        bounds.check_unpacked(size, path.stat().st_size)
+        bounds.check(size, size if most is None else most, "bytes of arrays")
         no_twice((entry.filename.removesuffix(".npy") for entry in entries), "array")
         named = {entry.filename.removesuffix(".npy"): entry for entry in entries}
         return {name: _read_array(archive, named[name]) for name in named if names is None or name in names}
+
+
+def write_archive(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Writes an archive, compressed and atomically."""
+    with atomic_write(path) as partial, partial.open("wb") as stream:  # NumPy would add .npz to a path
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
 
 def _check_number(archive: zipfile.ZipFile, got: int) -> None:
@@ -51,9 +63,8 @@ def _check_number(archive: zipfile.ZipFile, got: int) -> None:
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]:
     with archive.open(entry) as stream:
         check_header(stream, entry.file_size, f"array {entry.filename}")
-    with archive.open(entry) as stream:
-        array: npt.NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
-        return array
+    with archive.open(entry) as stream, damage_is(f"array {entry.filename}"):
+        return np.lib.format.read_array(stream, allow_pickle=False)
 
 
 def read_npy(path: Path) -> npt.NDArray[Any]:

@@ -33,6 +33,8 @@ LIST_ROWS = 1 << 24
 INSTANCED = 16_000_000
 #: Pixels of all textures of a mesh together; and its vertices times its materials, each of which takes all vertices.
 TEXTURES, MATERIAL_STEPS = 1 << 29, 1 << 31
+#: Corrections of a result times levels at which names were given: at each level all corrections are applied.
+LEVEL_STEPS = 1 << 20
 #: Files of a recording that are looked through for changes.
 FILES = 1_000_000
 

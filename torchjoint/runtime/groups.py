@@ -52,13 +52,51 @@ def most_frequent(value: Tensor, group: Tensor, count: Tensor) -> Tensor:
     >>> most_frequent(torch.tensor([7, 3, 7, 5]), torch.tensor([0, 0, 0, 1]), torch.tensor([1, 2, 1, 4]))
     tensor([3, 5])
     """
-    width = int(value.max()) + 1
-    key, place = torch.unique(group * width + value, return_inverse=True)
-    total = torch.zeros_like(key).index_add_(0, place, count)
-    most = torch.zeros(int(group.max()) + 1, dtype=torch.int64).scatter_reduce(0, key // width, total, "amax")
-    wins = total == most[key // width]
-    best = torch.full_like(most, width)
-    return best.scatter_reduce_(0, (key // width)[wins], (key % width)[wins], "amin")
+    of_pair, of_value, total = counted_pairs(group, value, count)
+    return best_of_groups(of_pair, of_value, total, int(group.max()) + 1)[0]
+
+
+def best_of_groups(group: Tensor, value: Tensor, score: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """The value with the highest score in each of the groups 0 ... `count` - 1, of several the lowest; and that score.
+
+    Args:
+        group: [N] int64, group of each value.
+        value: [N] int64.
+        score: [N] numbers.
+        count: number of groups.
+
+    Returns:
+        [count] int64, -1 = the group does not occur; and [count] scores, 0 if it does not.
+
+    >>> best_of_groups(torch.tensor([0, 0, 2]), torch.tensor([7, 3, 5]), torch.tensor([2, 2, 1]), 3)
+    (tensor([ 3, -1,  5]), tensor([2, 0, 1]))
+    """
+    best = score.new_zeros(count).scatter_reduce_(0, group, score, "amax", include_self=False)
+    wins = score == best[group]
+    none = torch.full((count,), -1)
+    return none.scatter_reduce_(0, group[wins], value[wins], "amin", include_self=False), best
+
+
+def counted_pairs(one: Tensor, other: Tensor, count: Tensor | None = None) -> Tensor:
+    """Pairs of numbers, each once, ascending, and how often each occurs.
+
+    Args:
+        one, other: [N] int64, >= 0, the two numbers of each pair.
+        count: [N] int64, how often it counts; default: once.
+
+    Returns:
+        [3, K] int64: one number, the other, how often.
+
+    >>> counted_pairs(torch.tensor([1, 0, 1]), torch.tensor([2, 5, 2])).tolist()
+    [[0, 1], [5, 2], [1, 2]]
+    """
+    width = int(other.max()) + 1 if len(other) else 1
+    if count is None:
+        key, total = torch.unique(one * width + other, return_counts=True)
+    else:
+        key, place = torch.unique(one * width + other, return_inverse=True)
+        total = torch.zeros_like(key).index_add_(0, place, count)
+    return torch.stack([key // width, key % width, total])
 
 
 def starts_group(sorted_values: Tensor) -> Tensor:

@@ -7,9 +7,7 @@ import os
 import re
 import sys
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 
 def give_back() -> None:
@@ -17,18 +15,8 @@ def give_back() -> None:
 
     The allocator of glibc keeps freed blocks of up to 32 MB for each thread. On other systems this does nothing.
     """
-    trim = _malloc_trim()
-    if trim is not None:
-        trim(0)
-
-
-@cache
-def _malloc_trim() -> Any:
-    """The function malloc_trim of glibc; None on other systems."""
-    try:
-        return ctypes.CDLL("libc.so.6").malloc_trim
-    except (OSError, AttributeError):
-        return None
+    with suppress(OSError, AttributeError):  # only glibc has it
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 _STATUS, _RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")

@@ -6,11 +6,13 @@ it begins, and compares at the moment of replacing. An earlier folder is moved a
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -59,14 +61,18 @@ def _opened(path: Path) -> int:
 
 
 @contextmanager
-def lock(path: Path, busy: str) -> Iterator[Lock]:
-    """Holds the lock of a file inside the block; then removes the file."""
+def lock(path: Path, busy: str, patience: float = 0.0) -> Iterator[Lock]:
+    """Holds the lock of a file inside the block; then removes the file. Waits for it so many seconds."""
+    end = time.monotonic() + patience
     while True:
         descriptor = _opened(no_link(path))
         try:
             _take(descriptor)
         except OSError as error:
             os.close(descriptor)
+            if time.monotonic() < end:
+                time.sleep(0.01)
+                continue
             raise BusyError(busy) from error
         held = Lock(path, descriptor)
         if held.is_held():
@@ -126,6 +132,21 @@ def read_sealed(file: Path) -> str | None:
     with file.open("rb") as stream:
         seal = _seal(file)
         return stream.read().decode(errors="replace") if stream.read(len(seal)) == seal else None
+
+
+#: The file in a folder of exports that says what was written there.
+WRITTEN = ".torchjoint"
+
+
+def _files_in(folder: Path) -> str:
+    """What stands in a folder and the folders in it, but :data:`WRITTEN`."""
+    folders = [folder, *(path for path in sorted(folder.rglob("*")) if path.is_dir())]
+    return repr([sorted(seen(one, {WRITTEN})) for one in folders])
+
+
+def is_as_written(folder: Path) -> bool:
+    """Whether a folder is empty, or all in it is as an :class:`Output` wrote it: a user's files may have such names."""
+    return folder.is_dir() and (not any(folder.iterdir()) or read_sealed(folder / WRITTEN) == _files_in(folder))
 
 
 def work_folder(folder: Path, source: str) -> Path:
@@ -281,6 +302,10 @@ def _is_mount_point(path: Path) -> bool:
     return any(line.split(" ")[4:5] == [escaped] for line in lines)
 
 
+#: Errors of a disk without room.
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
 class Output:
     """A file or folder that a command writes when its work is done.
 
@@ -316,10 +341,14 @@ class Output:
         new = beside / self.path.name
         try:
             yield new
+            if new.is_dir():
+                write_sealed(new / WRITTEN, _files_in(new))
             put(new, self.path, self._before, beside / f"{PARTIAL}replaced")
         except BaseException as error:
             known = (one.replace(str(new), str(self.path)) if isinstance(one, str) else one for one in error.args)
             error.args = tuple(known)
+            if isinstance(error, OSError) and (error.filename or error.errno in FULL):  # which name no file
+                error.filename = str(error.filename or new).replace(str(new), str(self.path))
             shutil.rmtree(new, ignore_errors=True) if new.is_dir() else new.unlink(missing_ok=True)
             with suppress(OSError):  # it holds what could not be put back
                 beside.rmdir()

@@ -14,6 +14,7 @@ torch does not use OpenMP, ``torch.set_num_threads`` is used as long as any call
 from __future__ import annotations
 
 import ctypes
+import pickle
 import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -217,6 +218,15 @@ class LazySequence(Sequence[T]):
         self._indices = range(count)
         self._read = read
         self.names = names
+
+    def __getstate__(self) -> bytes:
+        """For pickle, which knows no local functions: `read` goes along, and the items are read where they are used."""
+        import cloudpickle
+
+        return cloudpickle.dumps(self.__dict__)
+
+    def __setstate__(self, state: bytes) -> None:
+        self.__dict__.update(pickle.loads(state))
 
     def __len__(self) -> int:
         return len(self._indices)

@@ -34,18 +34,33 @@ def as_points(points: Tensor, name: str = "points") -> Tensor:
         bad = int((~points.isfinite()).any(1).sum())
         others = f"{name}[{name}.isfinite().all(1)]"
         raise ValueError(f"{name}: {bad} of {len(points)} points are NaN or infinite; {others} are the others")
+    is_half = isinstance(points, Tensor) and points.dtype in (torch.float16, torch.bfloat16)
+    if is_half and points.numel() and _has_numbers(points):
+        tell_half(float(points.abs().max()), points.dtype, name)
     points = as_float(points, name, points.dtype if is_double(points) else torch.float32)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape [N, 3], got {list(points.shape)}")
     if points.shape[0] == 0:
         raise ValueError(f"{name}: expected at least one point, got an empty cloud")
-    largest = points.abs().max().item()
-    if largest > LARGEST_COORDINATE:
-        raise ValueError(f"{name}: expected coordinates up to {LARGEST_COORDINATE:g} m, got {largest:.4g} m")
+    check_largest(points, name)
     if is_double(points):
         rounded = points.float()
         return rounded if torch.equal(rounded.double(), points) else points
     return points
+
+
+def tell_half(largest: float, dtype: torch.dtype, name: str) -> None:
+    """Warns of coordinates of 16 bits, whose steps are those of the largest one."""
+    step = largest * torch.finfo(dtype).eps
+    told = f"{name}: {dtype} keeps only {step:.2g} m this far from the origin; give float32 or float64"
+    warnings.warn(told, stacklevel=4)
+
+
+def check_largest(value: Tensor, name: str) -> None:
+    """Checks that no number of a tensor is larger than LARGEST_COORDINATE; NaN is not looked at."""
+    largest = max(abs(one.item()) for one in value.aminmax()) if value.numel() else 0
+    if largest > LARGEST_COORDINATE:
+        raise ValueError(f"{name}: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:.4g}")
 
 
 def without_return(points: Tensor, fewest: int | None = None) -> Tensor:
@@ -70,6 +85,7 @@ def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "kee
     """
     valid = torch.isfinite(points).all(1)
     bad = int((~valid).sum())
+    check_largest(points[valid] if bad else points, name)
     if bad and invalid != "keep":
         told = f"{name}: {bad} of {len(points)} points are NaN or infinite"
         if invalid == "refuse" or bad == len(points):
@@ -93,6 +109,7 @@ def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
     """Checks a rigid transform [4, 4]; returns it as float64."""
     pose = as_float(pose, name, torch.float64).clone()  # callers may write the next one into theirs
     check_shape(pose, (4, 4), name)
+    check_largest(pose, name)
     rotation = pose[:3, :3]
     error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64, device="cpu")).abs().max().item()
     determinant = torch.linalg.det(rotation).item()
@@ -171,16 +188,14 @@ def as_direction(value: Tensor, name: str) -> Tensor:
 
 
 def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
-    """Checks a camera matrix [3, 3], in pixels; returns it as float64."""
+    """Checks a camera matrix [3, 3] of any real numbers, in pixels; returns it as float64."""
+    if isinstance(intrinsics, Tensor) and not (intrinsics.is_floating_point() or intrinsics.is_complex()):
+        intrinsics = intrinsics.double()
     intrinsics = as_float(intrinsics, name, torch.float64).clone()
     check_shape(intrinsics, (3, 3), name)
     zeros = intrinsics[[1, 2, 2], [0, 0, 1]]
-    if (
-        intrinsics[0, 0] <= 0
-        or intrinsics[1, 1] <= 0
-        or zeros.abs().max() > 1e-9
-        or (intrinsics[2, 2] - 1).abs() > 1e-9
-    ):
+    check_largest(intrinsics, name)
+    if intrinsics.diag()[:2].min() <= 0 or zeros.abs().max() > 1e-9 or (intrinsics[2, 2] - 1).abs() > 1e-9:
         raise ValueError(
             f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, got {intrinsics.tolist()}"
         )

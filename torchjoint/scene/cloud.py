@@ -52,14 +52,16 @@ class Cloud:
         colors, normals = (None if of is None else of.index_select(0, chosen) for of in (self.colors, self.normals))
         return Cloud(self.points.index_select(0, chosen), colors, normals)
 
-    def without_constant_colors(self) -> Cloud:
-        """The cloud without its colours if they are all equal, as many programs write them for a cloud without colours.
+    def without_constants(self) -> Cloud:
+        """The cloud without colours or normals that are all equal, as many programs write them for a cloud without.
 
         Equal colours would tell the model that no boundary has a colour step, and the check of poses that no pose fits.
+        Equal normals would tell that there is no crease.
         """
-        if self.colors is None or not (self.colors == self.colors[0]).all():
-            return self
-        return replace(self, colors=None)
+        colors, normals = (
+            None if values is None or (values == values[0]).all() else values for values in (self.colors, self.normals)
+        )
+        return replace(self, colors=colors, normals=normals)
 
 
 def full_brightness(largest: float, most: int | None = None) -> float:
@@ -80,6 +82,9 @@ def full_brightness(largest: float, most: int | None = None) -> float:
         return 1
     most = most or 65535
     wide = min(65535, most)
+    if 255 < largest < 4096 and wide == 65535:
+        told = f"colours are at most {largest:g} of 65535, and are read as dark: are they of 12 bits?"
+        warnings.warn(told, stacklevel=5)
     return 255 if largest <= 255 else wide if largest <= wide else most
 
 
@@ -89,7 +94,7 @@ def _in_unit_range(colors: Tensor) -> Tensor:
         return colors
     if colors.is_floating_point():
         low, high = map(float, colors.aminmax())
-        if low >= 0 and full_brightness(high) == 255 >= high:
+        if low >= 0 and high <= 255 == full_brightness(high):
             warnings.warn(f"colors: got values up to {high:g}; taken as 0 to 255, and divided by 255", stacklevel=4)
             return colors / 255
     elif not colors.is_complex():

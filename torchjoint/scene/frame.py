@@ -22,11 +22,11 @@ def camera_center(world_to_camera: Tensor) -> Tensor:
     return -(world_to_camera[:3, :3].T @ world_to_camera[:3, 3])
 
 
-#: In words, after "the poses look".
+#: In words, after "the poses look". Frames have world_to_camera in OpenCV axes, but files may have the others.
 CONVENTIONS = {
-    "inverted": "inverted: expected world_to_camera, but they fit better as camera-to-world",
-    "axes": "to be in OpenGL axes (y up, z backwards): expected OpenCV axes (y down, z forwards)",
-    "inverted axes": "to be camera-to-world in OpenGL axes: expected world_to_camera in OpenCV axes",
+    "inverted": "inverted: camera-to-world where world-to-camera is expected, or the reverse?",
+    "axes": "turned in y and z: OpenGL axes where OpenCV axes are expected, or the reverse?",
+    "inverted axes": "inverted, and turned in y and z: also OpenGL axes where OpenCV's are expected, or the reverse?",
 }
 
 
@@ -99,8 +99,13 @@ class Frame:
         set_("intrinsics", as_intrinsics(self.intrinsics, self._called("intrinsics")))
         set_("world_to_camera", as_pose(self.world_to_camera, self._called("world_to_camera")))
         if self.depth is not None:
+            if isinstance(self.depth, Tensor) and not self.depth.dtype.is_floating_point:
+                told = f"expected metres as float32, got {self.depth.dtype}; is it in millimetres?"
+                raise TypeError(f"{self._called('depth')}: {told}")
             depth = as_float(self.depth, self._called("depth"), torch.float32).clone()
             check_shape(depth, self.size, self._called("depth"))
+            if depth.min() < 0 and depth.max() <= 0:  # of a camera that looks along -z
+                raise ValueError(f"{self._called('depth')}: expected metres above 0 (0 = unknown), got none")
             set_("depth", depth)
         if self.labels is not None:
             set_("labels", as_labels(self.labels, self.size, self._called("labels")).clone())

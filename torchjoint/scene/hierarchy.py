@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.runtime.groups import numbers_by_first_place, with_none
+from torchjoint.runtime.groups import best_of_groups, counted_pairs, numbers_by_first_place, with_none
 from torchjoint.runtime.threads import one_thread_per_operation
 
 #: Log odds that a segment is an object: an offset; a factor of the mean IoU with the members' segments; and a factor of
@@ -64,23 +64,18 @@ class Votes(NamedTuple):
         points = _sums(of_superpoint, self.size, count)
         iou, share = torch.zeros(count, dtype=torch.float64), torch.zeros(len(of_superpoint), dtype=torch.float64)
         for member in self.segments:
-            best, partner = _best_partners(of_superpoint, member, self.size, points)
+            partner, best = _best_partners(of_superpoint, member, self.size, points)
             iou += best / len(self.segments)
             share += (member == partner[of_superpoint]).double() / len(self.segments)
         return Agreement(iou, points, share)
 
 
 def _best_partners(of_superpoint: Tensor, member: Tensor, size: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """For each segment the highest IoU with one of the member's segments, [S] float64, and the number of that one."""
-    num_theirs = int(member.max()) + 1
-    pair, of_pair = torch.unique(of_superpoint * num_theirs + member, return_inverse=True)
-    common = _sums(of_pair, size, len(pair))
-    segment, other = pair // num_theirs, pair % num_theirs
-    iou = common / (points[segment] + _sums(member, size, num_theirs)[other] - common).clamp(min=1)
-    best = torch.zeros_like(points).scatter_reduce_(0, segment, iou, "amax")
-    wins = iou == best[segment]  # of equally good ones the lowest
-    none = torch.full((len(points),), num_theirs)
-    return best, none.scatter_reduce_(0, segment[wins], other[wins], "amin")
+    """For each segment that one of the member's segments with the highest IoU, [S] int64, and the IoU, float64."""
+    segment, other, common = counted_pairs(of_superpoint, member, size)
+    theirs = _sums(member, size, int(member.max()) + 1)
+    iou = common / (points[segment] + theirs[other] - common).clamp(min=1)
+    return best_of_groups(segment, other, iou, len(points))
 
 
 def _sums(group: Tensor, size: Tensor, count: int) -> Tensor:
@@ -142,6 +137,8 @@ class Hierarchy:
             raise ValueError(f"merges: expected superpoints in [0, {self.num_superpoints}), {came}")
         if not ((self.heights >= 0) & (self.heights <= 1)).all():
             raise ValueError("heights: expected numbers in [0, 1]")
+        if int(self.segments_of_superpoints(1.0).max()) + 1 != self.num_superpoints - len(self.merges):
+            raise ValueError("merges: expected each to join two segments, got one inside a segment")
         if not 0 <= self.default <= 1:
             raise ValueError(f"default: expected a height in [0, 1], got {self.default}")
         if self.votes is not None:
@@ -175,9 +172,7 @@ class Hierarchy:
         """
         check_granularity(granularity)
         granularity = float(granularity)  # NumPy's float32 would round the height
-        if granularity >= 0.5:
-            return 2 * self.default * (1 - granularity)
-        return 1 - 2 * (1 - self.default) * granularity
+        return 2 * self.default * (1 - granularity) if granularity >= 0.5 else 1 - 2 * (1 - self.default) * granularity
 
     @one_thread_per_operation()
     def segments_of_superpoints(self, height: float) -> Tensor:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime import bounds
+from torchjoint.runtime.groups import best_of_groups, first_places
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_float, as_labels, check_shape
 
@@ -153,8 +154,7 @@ class Masks:
         names: tuple[str, ...] = (),
     ) -> Masks:
         """Numbers the atoms that have pixels by first appearance. `members` are the masks of each atom, ascending."""
-        first = torch.full((len(members),), atom.numel())
-        first.scatter_reduce_(0, atom.reshape(-1), torch.arange(atom.numel()), "amin")
+        first = first_places(atom.reshape(-1), len(members))
         present = [old for old in first.argsort().tolist() if first[old] < atom.numel()]
         number = torch.zeros(len(members), dtype=torch.int32)
         number[present] = torch.arange(len(present), dtype=torch.int32)
@@ -207,13 +207,8 @@ class Masks:
     @on_cpu()
     def smallest(self, wanted: Tensor) -> Tensor:
         """The smallest mask around each atom (ties: the first) among those `wanted` [M] bool: [K] int64, -1 = none."""
-        order = torch.argsort(self.areas(), stable=True)
-        atom, mask = self.pairs
-        rank = torch.empty_like(order)
-        rank[order] = torch.arange(len(order))
-        atom, mask = atom[wanted[mask]], mask[wanted[mask]]
-        best = torch.full((self.num_atoms,), len(order)).scatter_reduce_(0, atom, rank[mask], "amin")
-        return torch.cat([order, torch.tensor([-1])])[best]
+        atom, mask = self.pairs[:, wanted[self.pairs[1]]]
+        return best_of_groups(atom, mask, -self.areas()[mask], self.num_atoms)[0]
 
     def resized(self, size: tuple[int, int]) -> Masks:
         """The masks of an image of another size (H, W), by the nearest pixel.
@@ -267,6 +262,8 @@ def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None
         return masks.resized(size)
     if not isinstance(masks, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor or Masks, got {type(masks).__name__}; see torchjoint.masks")
+    if masks.ndim == 3 and masks.shape[:2] == size and masks.shape[1:] != size:
+        raise ValueError(f"{name}: expected [M, H, W], got [H, W, M]? {list(masks.shape)} in an image of {list(size)}")
     if masks.dtype == torch.bool:
         stack = masks[None] if masks.ndim == 2 else masks
         return Masks.from_stack(stack, scores, name).resized(size)

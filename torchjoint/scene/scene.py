@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset, Subset
 
-from torchjoint.scene.checks import as_labels
+from torchjoint.runtime.groups import best_of_groups
+from torchjoint.scene.checks import as_direction, as_labels
 from torchjoint.scene.cloud import Cloud
 from torchjoint.scene.frame import Frame
 
@@ -88,10 +89,7 @@ def voxel_subsample(points: Tensor, size: float) -> Tensor:
     off_center = (scaled - cell - 0.5).square().sum(1)
     voxel = torch.unique((cell[:, 0] << 40) + (cell[:, 1] << 20) + cell[:, 2], return_inverse=True)[1]
     count = int(voxel.max()) + 1 if len(voxel) else 0
-    nearest = torch.full((count,), torch.inf, dtype=torch.float64).scatter_reduce(0, voxel, off_center, "amin")
-    place = torch.arange(len(points))
-    best = torch.where(off_center == nearest[voxel], place, len(points))
-    return torch.full((count,), len(points)).scatter_reduce(0, voxel, best, "amin").sort().values
+    return best_of_groups(voxel, torch.arange(len(points)), -off_center, count)[0].sort().values
 
 
 @dataclass(frozen=True)
@@ -106,6 +104,8 @@ class Scene:
         normals: optional [N, 3], pointing out of the surface; estimated if absent.
         name: used in messages.
         truth: optional, the ground truth; the method never reads it.
+        up: optional [3], the direction against gravity in the world frame, of any length: boxes and pictures stand
+            upright in it. Absent, it is estimated from the poses and the floor; without frames it is +z.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -117,8 +117,11 @@ class Scene:
     normals: Tensor | None = None
     name: str = ""
     truth: Truth | None = None
+    up: Tensor | None = None
 
     def __post_init__(self) -> None:
+        if self.up is not None:
+            object.__setattr__(self, "up", as_direction(self.up, "up"))
         cloud = Cloud.checked(self.points, self.colors, self.normals)
         for name in ("points", "colors", "normals"):
             object.__setattr__(self, name, getattr(cloud, name))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Self
 
 import torch
@@ -35,25 +35,18 @@ def level_images(
             else -1.
     """
     known = torch.cat([table.new_full((1,), -1), table])  # -1 stays -1
-    return LazySequence(len(images), partial(_of_level, images, num_before, known, num_after, superpoints))
 
+    def read(index: int) -> Tensor:
+        labels = images[index]
+        private = labels >= num_before
+        of_table = labels.masked_fill(private, -1) if superpoints is None else superpoints[index]
+        if of_table.shape != labels.shape:
+            raise ValueError(f"superpoints of image {index}: expected {list(labels.shape)}, got {list(of_table.shape)}")
+        with one_thread_per_operation():  # no decorator, which cannot be pickled
+            found = known.index_select(0, of_table.reshape(-1) + 1).view(labels.shape)
+            return torch.where(private, labels + (num_after - num_before), found)
 
-@one_thread_per_operation()
-def _of_level(
-    images: Sequence[Tensor],
-    num_before: int,
-    known: Tensor,
-    num_after: int,
-    superpoints: Sequence[Tensor] | None,
-    index: int,
-) -> Tensor:
-    labels = images[index]
-    private = labels >= num_before
-    of_table = labels.masked_fill(private, -1) if superpoints is None else superpoints[index]
-    if of_table.shape != labels.shape:
-        raise ValueError(f"superpoints of image {index}: expected {list(labels.shape)}, got {list(of_table.shape)}")
-    found = known.index_select(0, of_table.reshape(-1) + 1).view(labels.shape)
-    return torch.where(private, labels + (num_after - num_before), found)
+    return LazySequence(len(images), read)
 
 
 class LabelImages(LazySequence[Tensor]):
@@ -68,15 +61,15 @@ class LabelImages(LazySequence[Tensor]):
     def __init__(
         self, images: Sequence[Tensor | Packed], first_private: int = 0, offsets: Sequence[int] | None = None
     ) -> None:
-        self._images = [pack(image.to(torch.int64)) if isinstance(image, Tensor) else image for image in images]
-        self._first_private, self._offsets = first_private, offsets
-        super().__init__(len(self._images), self._unpacked)
+        packed = [pack(image.to(torch.int64)) if isinstance(image, Tensor) else image for image in images]
 
-    def _unpacked(self, index: int) -> Tensor:
-        labels = self._images[index].unpack().to(torch.int64)
-        if self._offsets is not None:
-            labels[labels >= self._first_private] += self._offsets[index]
-        return labels
+        def read(index: int) -> Tensor:
+            labels = packed[index].unpack().to(torch.int64)
+            if offsets is not None:
+                labels[labels >= first_private] += offsets[index]
+            return labels
+
+        super().__init__(len(packed), read)
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from torchjoint.datasets.files.las import LasPoints, epsg_of, las_points, open_las, tell_unit
 from torchjoint.runtime import bounds
+from torchjoint.scene.checks import LARGEST_COORDINATE, check_largest
 from torchjoint.scene.cloud import full_brightness
 
 #: Mean number of points in a cell, and most cells: small enough to cut tiles along cells, and few enough for memory.
@@ -58,6 +60,7 @@ def read_points(files: Sequence[Path], whites: Sequence[int] | None = None) -> I
                     points = points._replace(rgb=points.rgb * np.uint16(65535 // whites[number]))
                 if not np.isfinite(points.xyz).all():
                     raise ValueError(f"{path}: expected finite coordinates, got NaN or infinite ones")
+                check_largest(torch.from_numpy(points.xyz), str(path))
                 yield first, points
                 first += len(points.xyz)
 
@@ -65,7 +68,8 @@ def read_points(files: Sequence[Path], whites: Sequence[int] | None = None) -> I
 def survey(files: Sequence[Path], align: float | None = None) -> Survey:
     """Counts the points of a cloud in cells.
 
-    The grid covers the box that the headers give. If this box is much too large, the points are counted again.
+    The grid covers the box that the headers give. If this box is much too large, or points are not in it, as if it is
+    all zeros, the points are counted again.
 
     Args:
         files: of the cloud.
@@ -75,7 +79,9 @@ def survey(files: Sequence[Path], align: float | None = None) -> Survey:
     for _ in range(2):
         grid = _grid(num_points, low, high, align)
         counted, true_low, true_high = _count(files, grid)
-        if np.prod(true_high[:2] - true_low[:2] + grid.side) > 0.25 * np.prod(grid.counts.shape) * grid.side**2:
+        size, rim = np.array(grid.counts.shape) * grid.side, grid.origin[:2] - grid.side  # some boxes are rounded
+        is_inside = (true_low[:2] >= rim).all() and (true_high[:2] <= rim + size + 2 * grid.side).all()
+        if is_inside and np.prod(true_high[:2] - true_low[:2] + grid.side) > 0.25 * np.prod(size):
             break
         low, high = true_low, true_high
     return counted._replace(origin=np.array([*counted.origin[:2], math.floor(true_low[2])]))
@@ -94,7 +100,7 @@ def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.ND
             highs.append(reader.header.maxs)
             num_points += reader.header.point_count
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
-    if not (np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()):
+    if not ((np.abs([low, high]) <= LARGEST_COORDINATE).all() and (low <= high).all()):
         low, high = np.zeros(3), np.zeros(3)  # all points are counted in one cell, then again in a proper grid
     return num_points, low, high
 
@@ -223,16 +229,13 @@ def _points(sums: npt.NDArray[np.int64], tile: Tile, rim: int = 0) -> int:
 def _halves(sums: npt.NDArray[np.int64], tile: Tile, narrowest: int) -> list[Tile] | None:
     """Cuts a tile in two across its longer side; None if the halves would be too narrow."""
     (x0, y0), (x1, y1) = tile
-    axis = 0 if x1 - x0 >= y1 - y0 else 1
-    first, end = tile.first[axis], tile.end[axis]
+    is_wide = x1 - x0 >= y1 - y0
+    along, (first, low), (end, high) = (sums, *tile) if is_wide else (sums.T, (y0, x0), (y1, x1))
     places = np.arange(first + max(narrowest, 1), end - max(narrowest, 1) + 1)
     if not len(places):
         return None
-    if axis == 0:
-        before = sums[places, y1] - sums[places, y0] - (sums[x0, y1] - sums[x0, y0])
-    else:
-        before = sums[x1, places] - sums[x0, places] - (sums[x1, y0] - sums[x0, y0])
+    before = along[places, high] - along[places, low] - (along[first, high] - along[first, low])
     cut = int(places[np.abs(2 * before - _points(sums, tile)).argmin()])
-    if axis == 0:
+    if is_wide:
         return [Tile((x0, y0), (cut, y1)), Tile((cut, y0), (x1, y1))]
     return [Tile((x0, y0), (x1, cut)), Tile((x0, cut), (x1, y1))]

@@ -117,7 +117,8 @@ def superpoints_of_files(
         before = seen(out)
         _check_output(cloud, files, out, overwrite)  # again, because another run may have made it in the meantime
         stats = [fingerprint(file) for file in files]
-        work_folder(work, repr((stats, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
+        now = [fingerprint(file, changed=True) for file in files]
+        work_folder(work, repr((now, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
         hidden = None if progress is None else not progress  # None: if there is no terminal
         cut = _cut(files, work, tile, buffer, hidden)
         _segment(cut, work, config, engine, hidden)

@@ -23,6 +23,7 @@ import numpy.typing as npt
 import torch
 
 from torchjoint import ops
+from torchjoint.runtime.groups import numbers_by_first_place
 from torchjoint.tiles.tile import OwnLabels, SharedLabels
 
 Ints = npt.NDArray[np.int64]
@@ -85,7 +86,7 @@ class _Choice:
 
     def compare(self, there: SharedLabels, offset: int) -> None:
         """Uses the superpoints of another tile where they are whole and larger."""
-        mine, theirs = _common(self.point, there.point)
+        _, mine, theirs = np.intersect1d(self.point, there.point, assume_unique=True, return_indices=True)
         superpoint = there.superpoint[theirs]
         larger = there.whole_size[superpoint] > self._size[mine]
         mine, superpoint = mine[larger], superpoint[larger]
@@ -99,18 +100,15 @@ def _ranks(united: Ints, first: Ints, none: int) -> tuple[int, Ints]:
     Superpoints to which no point was given (`first` is `none`) do not unite others.
     """
     united = united[(first[united] < none).all(1)]
-    group = ops.connected_components(torch.from_numpy(united).t(), len(first)).numpy()
-    num_groups = int(group.max(initial=-1)) + 1
-    first_of_group = np.full(num_groups, none)
-    np.minimum.at(first_of_group, group, first)
-    rank = np.empty(num_groups, np.int64)
-    rank[np.argsort(first_of_group, kind="stable")] = np.arange(num_groups)
-    return int((first_of_group < none).sum()), rank[group]
+    group = ops.connected_components(torch.from_numpy(united).t(), len(first))
+    order = torch.from_numpy(first).argsort()
+    rank = numbers_by_first_place(group[order], int(group.max()) + 1 if len(group) else 0)[group].numpy()
+    return int(rank[first < none].max(initial=-1)) + 1, rank
 
 
 def matching_superpoints(one: SharedLabels, other: SharedLabels) -> Ints:
     """Pairs [P, 2] of superpoints of two tiles; more than half of the shared points of each are in the other."""
-    here, there = _common(one.point, other.point)
+    _, here, there = np.intersect1d(one.point, other.point, assume_unique=True, return_indices=True)
     if not len(here):
         return np.empty((0, 2), np.int64)
     first, second = one.superpoint[here].astype(np.int64), other.superpoint[there].astype(np.int64)
@@ -119,10 +117,3 @@ def matching_superpoints(one: SharedLabels, other: SharedLabels) -> Ints:
     pairs = np.stack([pair // width, pair % width], axis=1)
     larger = np.maximum(np.bincount(first)[pairs[:, 0]], np.bincount(second)[pairs[:, 1]])
     return pairs[2 * count > larger]
-
-
-def _common(one: Ints, other: Ints) -> tuple[Ints, Ints]:
-    """The indices of the common numbers in each of two ascending arrays."""
-    place = np.minimum(np.searchsorted(other, one), max(len(other) - 1, 0))
-    here = np.flatnonzero(other[place] == one) if len(other) else np.empty(0, np.int64)
-    return here, place[here]

@@ -64,8 +64,7 @@ def _cells_of_one_tile(survey: Survey, plan: Plan) -> npt.NDArray[np.bool_]:
     width, none = 2 * math.ceil(plan.buffer / survey.side) + 1, np.iinfo(np.int32).max
     highest = maximum_filter(plan.of_cell, width, mode="nearest")
     lowest = minimum_filter(np.where(plan.of_cell < 0, none, plan.of_cell), width, mode="nearest")
-    alone: npt.NDArray[np.bool_] = highest == lowest
-    return alone
+    return highest == lowest
 
 
 def _copies(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import weakref
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +18,13 @@ from torchjoint.results.result import Result
 from torchjoint.results.shared_edits import save_edits
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.messages import printable
-from torchjoint.scene.checks import as_direction
 from torchjoint.viewer.cloud import CloudView, pick_point
 from torchjoint.viewer.html import PREFIX, found_html, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.measures import hues_of_keys
 from torchjoint.viewer.model import Model, export_selected
 from torchjoint.viewer.painting import RelationLines, painted, point_colors
 from torchjoint.viewer.panel import RESET, Panel
-from torchjoint.viewer.server import Cameras, Viewpoint, add_camera, behind, fitted, ray_of, start_server, viewpoint
+from torchjoint.viewer.server import Cameras, Eyes, Viewpoint, add_camera, ray_of, start_server, viewpoint
 from torchjoint.viewer.shown import Shown
 
 
@@ -37,7 +37,6 @@ class Viewer:
         result: the result as on disk, without corrections.
         shown: folder and run of the result; default: neither.
         granularity: level to start with, 0 (coarse) to 1 (fine); None: as on disk, or as corrected.
-        up: [3] upward direction in the world frame; None: from the poses and the largest level plane.
         host, port: of the page. With the default host only this machine can open it. If the port is in use, the next
             free one is used.
         on_open: called with the page's address as soon as the page answers; the panel may come a second later.
@@ -56,23 +55,21 @@ class Viewer:
         shown: Shown | None = None,
         *,
         granularity: float | None = None,
-        up: Tensor | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
         on_open: Callable[[str], object] = lambda url: None,
     ) -> None:
-        upward = (up_direction(result.scene) if up is None else as_direction(up, "up")).numpy()
         self._shown = shown or Shown()
         self._saved = self._shown.edits(result, granularity)  # the corrections as they were read or saved last
-        self.model = Model(result, self._saved, upward)
+        self.model = Model(result, self._saved, up_direction(result.scene).numpy())
+        self._typed = ""  # the last name that came from a page
         self._lock = threading.RLock()  # viser calls the functions below on several threads
         self._order, self._can_save, self._has_stopped = "points", True, False
         self._made = self._saved.steps  # the corrections after the last action
-        self._fitted: dict[int, tuple[Any, float]] = {}  # where a page saw the whole cloud, and its aspect
-        self._standing: dict[int, Any] = {}  # orientations of pages that stand at a camera, before its photo
         self._workers: list[threading.Thread] = []
         _at_end(weakref.WeakMethod(self._end_work))
-        self.server, self._distance, self.url = start_server(result.scene, upward, host, port)
+        self.server, self._distance, self.url = start_server(result.scene, self.model.up, host, port)
+        self._eyes = Eyes(self.server, self.model.up, self._distance)
         on_open(self.url)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
         self._relations = RelationLines(self.server)
@@ -180,22 +177,23 @@ class Viewer:
         def changes(change: Any) -> Any:
             return lambda _: self._guarded(self._change, change)
 
-        panel.bridge.on_update(lambda event: self._guarded(self._on_event, event.client))
+        # What was clicked is read at once: while another action works, the next click may change it.
+        panel.bridge.on_update(lambda event: self._guarded(self._on_event, panel.bridge.value, event.client))
         panel.mode.on_update(changes(lambda: setattr(self.model, "mode", panel.mode.value)))
-        panel.name.on_update(then(self._on_name))
+        panel.name.on_update(self._on_typed)
         panel.relations.on_update(then(self._draw_relations))
         panel.search.on_update(then(self._draw_table))
         panel.find.on_click(then(self._on_find))
-        panel.correct.on_click(changes(self._on_correct))
+        panel.correct.on_click(lambda _: self._guarded(self._change, partial(self._on_correct, panel.correct.value)))
         panel.by_clicks.on_update(
             lambda _: setattr(panel.keep, "visible", panel.by_clicks.value and self.folder is not None)
         )
         panel.keep.on_click(changes(lambda: self.model.keep()))
-        panel.export.on_click(lambda event: self._guarded(self._on_export, event.client))
+        panel.export.on_click(lambda event: self._guarded(self._on_export, panel.export.value, event.client))
         panel.save.on_click(then(self._on_save))
-        panel.view.on_click(lambda event: self._guarded(self._on_view, event.client))
+        panel.view.on_click(lambda event: self._guarded(self._on_view, panel.view.value, event.client))
         panel.size.on_update(then(lambda: self._cloud.resize(panel.size.value)))
-        panel.front.on_update(then(self._cut_front))
+        panel.front.on_update(then(lambda: self._eyes.cut_front(panel.front.value)))
         if panel.level is not None:
             panel.level.on_update(changes(lambda: self.model.set_granularity(panel.level.value)))
         if panel.parameters:
@@ -218,6 +216,7 @@ class Viewer:
         @self.server.on_client_connect
         def _(client: Any) -> None:
             client.camera.on_update(lambda _: self._guarded(self._on_camera, client))
+            self._guarded(self._on_camera, client)  # the first camera is told before this
 
     # Reactions to events
 
@@ -227,8 +226,10 @@ class Viewer:
             if self._has_stopped:
                 return
             try:
-                action(*arguments)
-                self._save_what_was_made()
+                try:
+                    action(*arguments)
+                finally:  # a correction is made before it is drawn, which may fail
+                    self._save_what_was_made()
             except Exception as error:
                 self._say(str(error) or repr(error), "red")
                 if not isinstance(error, (ValueError, OSError, ModuleNotFoundError)):
@@ -238,8 +239,8 @@ class Viewer:
         for client in self.server.get_clients().values():
             client.add_notification("torchjoint", printable(text), color=color, auto_close_seconds=6.0)
 
-    def _on_event(self, client: Any) -> None:
-        kind, *values = self._panel.bridge.value.removeprefix(PREFIX).split()[:-1] or [""]  # the last word is the time
+    def _on_event(self, event: str, client: Any) -> None:
+        kind, *values = event.removeprefix(PREFIX).split()[:-1] or [""]  # the last word is the time
         if kind == "sort":
             self._order = values[0]
             self._draw_table()
@@ -252,9 +253,8 @@ class Viewer:
             self._choose(self.model.segment_of_key(int(values[0])), values[1] == "1")
         elif kind == "image":
             superpoints = self.model.parts.image(self._frame_index())
-            column, row = np.clip(
-                [*map(int, values[:2])], 0, np.array(superpoints.shape[::-1]) - 1
-            )  # an edge may give -1
+            # An edge may give -1.
+            column, row = np.clip([*map(int, values[:2])], 0, np.array(superpoints.shape[::-1]) - 1)
             superpoint = int(superpoints[row, column])
             self._on_point(None if superpoint < 0 else self.model.parts.middle(superpoint), values[2] == "1")
 
@@ -282,19 +282,10 @@ class Viewer:
             self._cloud.light(client.scene, name, point, members)
 
     def _on_camera(self, client: Any) -> None:
-        fitted_at, aspect = self._fitted.get(client.client_id, (client.camera.position, 0.0))
-        is_there = np.abs(fitted_at - client.camera.position).max() < 1e-3 * self._distance
-        if is_there and aspect != client.camera.aspect:  # nobody has turned it
-            self._show_all(client)
+        has_left = self._eyes.follow(client, self.result.scene)
         self._cloud.look_from(client.camera.position)
-        if abs(self._standing.get(client.client_id, client.camera.wxyz) @ client.camera.wxyz) < 0.9999:
-            self._standing.pop(client.client_id, None)  # it may not stand there: a broken orientation is like no other
-            client.scene.set_background_image(None)
+        if has_left:
             self._cloud.resize(self._panel.size.value)
-
-    def _cut_front(self) -> None:
-        for client in self.server.get_clients().values():
-            client.camera.near = max(0.01, 2 * self._panel.front.value * self._distance)
 
     def _change(self, change: Callable[[], object]) -> None:
         """Changes the model, and draws what it is now."""
@@ -311,6 +302,9 @@ class Viewer:
 
     def _select(self, segments: tuple[int, ...]) -> None:
         self._change(lambda: self.model.select(segments))
+        frames = [index for index, _ in self.model.measures.frames_of(segments[0])] if len(segments) == 1 else []
+        if frames and self._frame_index() not in frames:
+            self._panel.frame.value = frames[0]  # which draws the image
 
     def _on_parameters(self) -> None:
         """Shows the result of other parameters; corrections that do not belong to it are dropped."""
@@ -323,50 +317,45 @@ class Viewer:
         self._work_behind()
         self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
 
-    def _on_view(self, client: Any) -> None:
-        if self._panel.view.value == RESET:
-            self._show_all(client)
+    def _on_view(self, action: str, client: Any) -> None:
+        if action == RESET:
+            self._eyes.show_all(client, self.result.scene)
         else:
             self._select(())
-
-    def _show_all(self, client: Any) -> None:
-        """Shows the whole cloud, as large as the canvas allows."""
-        fov = self.server.initial_camera.fov
-        position, target = fitted(self.result.scene, self.model.up, fov, client.camera.aspect)
-        self._fitted[client.client_id] = position, client.camera.aspect
-        with client.atomic():
-            client.camera.up_direction, client.camera.fov = self.model.up, fov
-            client.camera.position, client.camera.look_at = position, target
 
     def _on_frame(self) -> None:
         self._draw_image()
         if self._cameras is not None:
             self._cameras.mark(self._frame_index())
 
+    def _on_typed(self, event: Any) -> None:
+        if event.client is not None:  # else it was drawn, perhaps by an action that letters wait for
+            self._typed = self._panel.name.value
+            self._guarded(self._on_name)
+
     def _on_name(self) -> None:
-        if (name := self._panel.name.value) != self._selected_name():
+        if self._typed != (before := self._selected_name()):
             try:
-                self.model.name(name)
+                self.model.name(self._typed)
             except ValueError:  # only then: after a success the user may have typed on
-                self._panel.name.value = self._selected_name()
+                self._panel.name.value = before
                 raise
+            if self._panel.name.value == before:  # the action that the letters waited for has drawn it
+                self._panel.name.value = self._typed
             self._draw_lists()
 
     def _selected_name(self) -> str:
         selected = self.model.selected
         return self.model.names.get(selected[0], "") if len(selected) == 1 else ""
 
-    def _on_correct(self) -> None:
-        action = self._panel.correct.value
+    def _on_correct(self, action: str) -> None:
         if action == "Undo":
             if self.model.clicks:
                 self.model.unclick()
             else:
                 self._say(f"undone: {self.model.undo() or 'nothing is left to undo'}", "blue")
-        elif action == "Join":
-            self.model.join()
         else:
-            self.model.split()
+            self.model.join() if action == "Join" else self.model.split()
 
     def _on_find(self) -> None:
         assert self._shown.text_encoder is not None  # without it there is no button
@@ -398,20 +387,14 @@ class Viewer:
             self._change(lambda: self.model.take(saved))
         self._saved = saved
 
-    def _on_export(self, client: Any) -> None:
+    def _on_export(self, kind: str, client: Any) -> None:
         if self.model.selected:
-            self._say(f"{self._panel.export.value}: the download comes ...", "blue")
-        client.send_file_download(*export_selected(self.model, self._panel.export.value), save_immediately=True)
+            self._say(f"{kind}: the download comes ...", "blue")
+        client.send_file_download(*export_selected(self.model, kind), save_immediately=True)
 
     def _stand_at(self, index: int, client: Any) -> None:
-        frame = self.result.scene.frames[index]
-        view, aspect = viewpoint(frame), client.camera.aspect
-        fov = 2 * np.arctan(np.tan(view.fov / 2) * max(1, view.aspect / aspect))  # the whole photo fits
-        with client.atomic():
-            client.camera.wxyz, client.camera.position, client.camera.fov = view.wxyz, view.position, fov
-        client.scene.set_background_image(behind(painted(self.model, index, 0.0), aspect))
-        self._standing[client.client_id] = view.wxyz
-        self._cloud.resize(0.3 * self._panel.size.value)  # the photo is seen between the points
+        self._eyes.stand_at(client, viewpoint(self.result.scene.frames[index]), painted(self.model, index, 0.0))
+        self._cloud.resize(0.24 * self._panel.size.value)  # the photo is seen between the points
         if self._frame_index() != index:
             self._panel.frame.value = index  # which draws the image
 

@@ -56,7 +56,7 @@ def point_radius(points: Floats) -> float:
     if len(points) < 2:
         return 0.01
     distances = cKDTree(points).query(points[:: max(1, len(points) // 500)], k=min(9, len(points)))[0][:, -1]
-    return max(0.6 * float(np.quantile(distances, 0.75)), 1e-6)
+    return max(0.75 * float(np.quantile(distances, 0.75)), 1e-6)
 
 
 def block_radii(points: Floats, blocks: Sequence[npt.NDArray[np.int64]]) -> Floats:

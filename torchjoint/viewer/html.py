@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -11,6 +9,7 @@ from pathlib import Path
 import torch
 from PIL import Image
 
+from torchjoint.results.page import encoded_image
 from torchjoint.results.render import label_colors
 from torchjoint.runtime.messages import printable
 from torchjoint.viewer.measures import Row
@@ -24,16 +23,15 @@ COLUMNS = ("id", "name", "points", "size", "frames", "sure")
 
 def page_html(name: str) -> str:
     """The style and the script of the page; `name`: of the scene, for the tab's title."""
-    style, script = (Path(__file__).with_name(f"page.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
-    names = f'data-name="{escape(printable(name))}" data-script="{escape(script)}"'
-    return f'<style id="tj-page" {names} onload="(0,eval)(dataset.script)">{style}</style>'
+    names = "page.css", "page.js", "depth_shading.js"
+    style, *scripts = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in names)
+    data = f'data-name="{escape(printable(name))}" data-script="{escape("".join(scripts))}"'
+    return f'<style id="tj-page" {data} onload="(0,eval)(dataset.script)">{style}</style>'
 
 
 def image_html(image: Bytes, caption: str) -> str:
     """An image that sends `image COLUMN ROW SHIFT` where it is clicked, in pixels of the image."""
-    stream, caption = io.BytesIO(), escape(printable(caption))
-    Image.fromarray(image).save(stream, "jpeg", quality=88)
-    data = base64.b64encode(stream.getvalue()).decode("ascii")
+    caption, data = escape(printable(caption)), encoded_image(Image.fromarray(image), "jpeg", quality=88)
     return (
         f'<div class="tj">{caption}</div>'  # a tooltip would cover what is aimed at
         f'<img id="tj-image" alt="{caption}" src="data:image/jpeg;base64,{data}">'

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -29,8 +30,8 @@ from torchjoint.viewer.shown import LiveRun, Shown
 CAMERA = 0.04
 
 
-class GrowingView:
-    """A page that opens with the first result of a :class:`~torchjoint.LiveSegmenter`.
+class _LaterPage:
+    """A page that opens later, with the first result.
 
     Args:
         on_open: see :class:`~torchjoint.viewer.app.Viewer`.
@@ -38,9 +39,13 @@ class GrowingView:
     """
 
     def __init__(self, on_open: Callable[[str], object] = print, *, host: str = "127.0.0.1", port: int = 8080) -> None:
-        import_viser()
+        import_viser()  # so that an error comes at once, not after an hour of fusing a cloud
         self.viewer: Viewer | None = None
         self._open = partial(Viewer, on_open=on_open, host=host, port=port)
+
+
+class GrowingView(_LaterPage):
+    """A page that opens with the first result of a :class:`~torchjoint.LiveSegmenter`; arguments as above."""
 
     def show(self, live: LiveResult, frames: Sequence[Frame], note: str = "") -> None:
         """Shows another result.
@@ -50,11 +55,11 @@ class GrowingView:
             frames: that have come so far; their poses tell what is up.
             note: a line at the top of the panel.
         """
-        scene = Scene(live.cloud.points, colors=live.cloud.colors)
+        up = up_direction(Scene(live.cloud.points, frames)) if self.viewer is None else None
+        scene = Scene(live.cloud.points, colors=live.cloud.colors, up=up)
         result = Result.of(Segmentation(live.labels, ()), scene)
         if self.viewer is None:
-            up = up_direction(Scene(scene.points, frames))
-            self.viewer = self._open(result, Shown(is_running=True), up=up)
+            self.viewer = self._open(result, Shown(is_running=True))
         else:
             self.viewer.grow(result, Shading(scene.points, self.viewer.model.up))
         self.viewer.tell(note)
@@ -76,28 +81,21 @@ class GrowingView:
 SHARE_OF_TIME = 0.1
 
 
-class LiveView:
+class LiveView(_LaterPage):
     """Shows a run in the browser, from before its first frame: call it after each of the segmenter's steps.
 
     It does not change the segmenter, so the result and the checkpoint are the same as without it.
 
     Args:
-        on_open: see :class:`~torchjoint.viewer.app.Viewer`.
+        on_open, address: see :class:`~torchjoint.viewer.app.Viewer`; the address is host and port.
         share: largest share of the run's time for the view.
-        host, port: see :class:`~torchjoint.viewer.app.Viewer`.
     """
 
     def __init__(
-        self,
-        on_open: Callable[[str], object] = print,
-        *,
-        share: float = SHARE_OF_TIME,
-        host: str = "127.0.0.1",
-        port: int = 8080,
+        self, on_open: Callable[[str], object] = print, *, share: float = SHARE_OF_TIME, **address: Any
     ) -> None:
-        import_viser()  # so that an error comes at once, not after an hour of fusing a cloud
-        self.viewer: Viewer | None = None
-        self._share, self._open = share, partial(Viewer, on_open=on_open, host=host, port=port)
+        super().__init__(on_open, **address)
+        self._share = share
         self._next, self._labelled = 0.0, 0
         self._names: tuple[str, ...] = ()
 

@@ -35,10 +35,11 @@ class Click(NamedTuple):
 
 
 def superpoints_of_clicks(parts: Parts, edits: Edits, clicks: Sequence[Click]) -> Table:
-    """The superpoints of the thing of one or more clicks, ascending; a single click gives the corrected segment."""
-    if len(clicks) == 1 and clicks[0].belongs:
-        table = parts.table(edits)
-        return np.flatnonzero(table == table[parts.of_point[clicks[0].point]])
+    """The superpoints of the thing of one or more clicks, ascending; those on one segment give it, with corrections."""
+    table = parts.table(edits)
+    segments = np.unique(table[parts.of_point[[one.point for one in clicks]]])
+    if len(segments) == 1 and all(one.belongs for one in clicks):
+        return np.flatnonzero(table == segments)
     on, off = (
         torch.tensor([one.point for one in clicks if one.belongs == of], dtype=torch.int64) for of in (True, False)
     )
@@ -46,10 +47,10 @@ def superpoints_of_clicks(parts: Parts, edits: Edits, clicks: Sequence[Click]) -
 
 
 def _at_level(result: Result, level: float | None) -> Result:
-    """The result whose default level is the shown one."""
+    """The result whose labels and default level are the shown ones."""
     if result.hierarchy is None or level is None:
         return result
-    return replace(result, hierarchy=replace(result.hierarchy, default=result.hierarchy.height_of(level)))
+    return replace(result.at(level), hierarchy=replace(result.hierarchy, default=result.hierarchy.height_of(level)))
 
 
 Bytes = npt.NDArray[np.uint8]
@@ -201,8 +202,10 @@ class Model:
         """Undoes the last change, or the last correction of edits.json; says which; "": there is nothing to undo."""
         if not self.edits.steps:
             return ""
-        last = self.edits.steps[-1]
-        self._edit(replace(self.edits, steps=self._before.pop() if self._before else self.edits.steps[:-1]))
+        last, steps = self.edits.steps[-1], self._before.pop() if self._before else self.edits.steps[:-1]
+        joined = [one for step in self.edits.steps[len(steps) :] if step.kind == "join" for one in step.superpoints]
+        self._edit(replace(self.edits, steps=steps))
+        self.select(tuple(self.table[joined].tolist()) or self.selected)
         return {"name": f"name {last.name!r}", "gather": "one thing"}.get(last.kind, last.kind)
 
     def take(self, edits: Edits) -> None:

@@ -12,7 +12,10 @@
   const matches = (query) => matchMedia(query).matches;
 
   document.title = `${document.getElementById("tj-page").dataset.name} - torchjoint`;
-  once(field, () => send("dark", Number(matches("(prefers-color-scheme: dark)"))));
+  // viser drops what comes before the page's first camera, so this is sent until the page is dark.
+  const wanted = Number(matches("(prefers-color-scheme: dark)"));
+  const isDark = () => document.documentElement.dataset.mantineColorScheme === "dark";
+  once(() => field() && (send("dark", wanted), !wanted || isDark()), () => {});
   if (window.torchjoint) return; // the panel was built anew
   window.torchjoint = true;
 

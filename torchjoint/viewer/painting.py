@@ -122,8 +122,8 @@ class RelationLines:
             return
         labels = model.table[model.parts.of_point]
         if self._labels is None or not np.array_equal(labels, self._labels):
-            scene = Scene(model.result.scene.points)
-            found = relations(scene, Segmentation(torch.from_numpy(labels), ()), torch.from_numpy(model.up))
+            scene = Scene(model.result.scene.points, up=torch.from_numpy(model.up))
+            found = relations(scene, Segmentation(torch.from_numpy(labels), ()))
             self._labels, self._found = labels, found.relations
         ends, colors = lines(self._found, model.result.scene.points.numpy(), labels, model.selected)
         if len(ends):
@@ -134,7 +134,7 @@ class RelationLines:
 
 
 def lines(
-    found: tuple[Relation, ...], points: Floats, labels: npt.NDArray[np.int64], selected: tuple[int, ...]
+    found: tuple[Relation, ...], points: Floats, labels: Table, selected: tuple[int, ...]
 ) -> tuple[Floats, Bytes]:
     """The ends [L, 2, 3] of the lines, and their colours [L, 2, 3]; the middle of a segment is the mean of its points.
 

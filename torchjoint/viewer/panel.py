@@ -50,8 +50,11 @@ class Panel:
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
             self.several = gui.add_checkbox("Select several", False, hint="each click adds one, as with shift")
-            self._add_clicks(gui, model.result.hierarchy is not None)
-            self._add_buttons(gui, shown.folder is not None, not shown.is_running)
+            has_levels = model.result.hierarchy is not None
+            self.by_clicks = gui.add_checkbox("Thing from clicks", False, visible=has_levels, hint=CLICKS)
+            self.keep = gui.add_button("Make it one thing", visible=False, hint="a segment of its own, at every level")
+            kinds = ("PLY", "PNG", "COCO") if len(model.result.scene.frames) else ("PLY",)
+            self._add_buttons(gui, shown.folder is not None, not shown.is_running, kinds)
             self.relations = gui.add_checkbox("Relations", False, visible=not shown.is_running, hint=RELATIONS)
         pane = gui.add_panel()  # of its own: it is in view, whatever the panel above shows
         pane.dock_below(gui.main_panel)
@@ -84,12 +87,8 @@ class Panel:
         self.stand = gui.add_button("Stand at this camera", color="gray")
         self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
 
-    def _add_clicks(self, gui: Any, has_levels: bool) -> None:
-        self.by_clicks = gui.add_checkbox("Thing from clicks", False, visible=has_levels, hint=CLICKS)
-        self.keep = gui.add_button("Make it one thing", visible=False, hint="a segment of its own, at every level")
-
-    def _add_buttons(self, gui: Any, can_save: bool, can_export: bool) -> None:
+    def _add_buttons(self, gui: Any, can_save: bool, can_export: bool, kinds: tuple[str, ...]) -> None:
         self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_save)
         self.correct = gui.add_button_group("Correct", ("Join", "Split", "Undo"), visible=can_save, hint=CORRECT)
-        self.export = gui.add_button_group("Export", ("PLY", "PNG", "COCO"), visible=can_export, hint=EXPORT)
+        self.export = gui.add_button_group("Export", kinds, visible=can_export, hint=EXPORT)
         self.save = gui.add_button("Save the level", visible=can_save, hint=SAVE)

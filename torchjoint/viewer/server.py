@@ -16,7 +16,7 @@ import numpy.typing as npt
 from PIL import Image, ImageOps
 from scipy.spatial.transform import Rotation
 
-from torchjoint.results.upright import view_from_above
+from torchjoint.results.upright import fitted
 from torchjoint.runtime.messages import needed_for
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.frame import camera_center
@@ -25,8 +25,6 @@ from torchjoint.viewer.model import Bytes
 
 #: Largest number of cameras that are drawn; more would hide the cloud.
 MAX_CAMERAS = 60
-#: Largest number of points that determine the first view, and its distance in that from which the cloud just fits.
-MOST_FITTED, MARGIN = 20_000, 1.05
 
 
 class Viewpoint(NamedTuple):
@@ -45,30 +43,6 @@ def viewpoint(frame: Frame) -> Viewpoint:
     fov = 2 * np.arctan2(height / 2, float(frame.intrinsics[1, 1]))
     wxyz = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
     return Viewpoint(camera_center(frame.world_to_camera).numpy(), wxyz, float(fov), width / height)
-
-
-def fitted(
-    scene: Scene, up: npt.NDArray[np.float64], fov: float, aspect: float
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Position and target of a view of the whole cloud, from above, looking where the cameras look.
-
-    Args:
-        scene: the cloud and its cameras.
-        up: [3] upward direction, unit length.
-        fov: vertical field of view, radians.
-        aspect: width / height of the page's canvas.
-    """
-    center, position = view_from_above(scene, up)
-    forward = (center - position) / np.linalg.norm(center - position)
-    right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
-    axes = np.stack([right, np.cross(forward, right), forward])
-    at = (scene.points[:: -(-len(scene.points) // MOST_FITTED)].double().numpy() - center) @ axes.T
-    slope = np.tan(fov / 2) * np.array([aspect, 1])
-    low = np.quantile(at[:, :2] + slope * at[:, 2:], 0.015, axis=0)  # the left, the right, the upper and the lower
-    high = np.quantile(at[:, :2] - slope * at[:, 2:], 0.985, axis=0)  # edge of the canvas pass by these places
-    distance = max(float(((high - low) / slope).max()) / 2, 1e-6)
-    target = center + (low + high) / 2 @ axes[:2]
-    return target - MARGIN * distance * forward, target
 
 
 def ray_of(camera: Any, column: float, row: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -124,6 +98,61 @@ def add_camera(
     return server.scene.add_camera_frustum(name, **looks, **view._asdict())
 
 
+class Eyes:
+    """From where the pages look: at the whole cloud, or at a camera, before its photo.
+
+    Args:
+        server: viser.ViserServer.
+        up: [3] upward direction, unit length.
+        distance: between the viewer and the scene's centre in the first view, metres.
+    """
+
+    def __init__(self, server: Any, up: npt.NDArray[np.float64], distance: float) -> None:
+        self._server, self._up, self._distance = server, up, distance
+        self._fitted: dict[int, tuple[Any, float]] = {}  # where a page saw the whole cloud, and its aspect
+        self._standing: dict[int, Any] = {}  # orientations of pages that stand at a camera
+        self._arrived: set[int] = set()  # those of them that have it
+
+    def show_all(self, client: Any, scene: Scene) -> None:
+        """Shows the whole cloud on a page, as large as the canvas allows."""
+        fov = self._server.initial_camera.fov
+        position, target, _ = fitted(scene, self._up, fov, client.camera.aspect)
+        self._fitted[client.client_id] = position, client.camera.aspect
+        with client.atomic():
+            client.camera.up_direction, client.camera.fov = self._up, fov
+            client.camera.position, client.camera.look_at = position, target
+
+    def stand_at(self, client: Any, view: Viewpoint, photo: Bytes) -> None:
+        """Lets a page look from a viewpoint, with the photo behind the cloud."""
+        aspect = client.camera.aspect
+        fov = 2 * np.arctan(np.tan(view.fov / 2) * max(1, view.aspect / aspect))  # the whole photo fits
+        with client.atomic():
+            client.camera.wxyz, client.camera.position, client.camera.fov = view.wxyz, view.position, fov
+        client.scene.set_background_image(behind(photo, aspect))
+        self._standing[client.client_id] = view.wxyz
+        self._arrived.discard(client.client_id)
+
+    def follow(self, client: Any, scene: Scene) -> bool:
+        """Takes note of where a page looks from now; whether it has left the photo at which it stood."""
+        fitted_at, aspect = self._fitted.get(client.client_id, (client.camera.position, 0.0))
+        is_there = np.abs(fitted_at - client.camera.position).max() < 1e-3 * self._distance
+        if is_there and aspect != client.camera.aspect:  # nobody has turned it
+            self.show_all(client, scene)
+        stands = self._standing.get(client.client_id)
+        if stands is not None and abs(stands @ client.camera.wxyz) > 0.9999:
+            self._arrived.add(client.client_id)  # before that, a page may still tell where it was
+        elif stands is not None and client.client_id in self._arrived:
+            del self._standing[client.client_id]
+            client.scene.set_background_image(None)
+            return True
+        return False
+
+    def cut_front(self, share: float) -> None:
+        """Hides what is nearer than a share of the distance to the far side."""
+        for client in self._server.get_clients().values():
+            client.camera.near = max(self._server.initial_camera.near, 2 * share * self._distance)
+
+
 def import_viser() -> Any:
     """Returns the module viser."""
     with needed_for("the viewer", "viser", "torchjoint[viewer]"):
@@ -160,11 +189,13 @@ def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int
         server.stop()
         raise RuntimeError(f"the viewer: expected viser 1.1, got {viser.__version__}, whose page is open to all")
     server.scene.set_up_direction(tuple(up))
-    position, target = fitted(scene, up, server.initial_camera.fov, 1.5)
-    server.initial_camera.position, server.initial_camera.look_at = position, target
+    view = fitted(scene, up, server.initial_camera.fov, 1.5)
+    server.initial_camera.position, server.initial_camera.look_at = view.position, view.target
+    distance = float(np.linalg.norm(view.position - view.target))
+    server.initial_camera.near = max(0.01, distance / 5000)  # depths have few bits, and are shaded by their differences
     shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, f"[{host}]" if ":" in host else host)
     url = f"http://{shown}:{server.get_port()}/{token}/"
-    return server, float(np.linalg.norm(position - target)), url
+    return server, distance, url
 
 
 def is_loopback(host: str) -> bool:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 
 from torch import Tensor
@@ -39,8 +39,7 @@ class LiveRun:
     def parameters(self) -> dict[str, float]:
         """Names (stage.parameter) and values of the parameters that can be changed."""
         names = PARAMETERS.get(self._segmenter.method.name, PARAMETERS["learned"])
-        config = self._segmenter.config
-        return {name: float(getattr(getattr(config, name.split(".")[0]), name.split(".")[1])) for name in names}
+        return {name: float(attrgetter(name)(self._segmenter.config)) for name in names}
 
     def compute(self, values: dict[str, float]) -> Result:
         """Computes the result of other values.
@@ -51,13 +50,9 @@ class LiveRun:
         config: Config = self._segmenter.config
         for name, value in values.items():
             stage, _, parameter = name.partition(".")
-            config = config.replace({stage: {parameter: _of_its_kind(stage, parameter, value)}})
+            is_whole = isinstance(attrgetter(name)(config), int)
+            config = config.replace({stage: {parameter: round(value) if is_whole else value}})
         return Result.of(self._segmenter.compute(config=config), self._scene, config)
-
-
-def _of_its_kind(stage: str, parameter: str, value: float) -> float | int:
-    default = next(spec.default for spec in dataclasses.fields(Config.stages()[stage]) if spec.name == parameter)
-    return round(value) if isinstance(default, int) else value
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,9 +15,15 @@ from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.las import las_chunks, open_las
 from torchjoint.datasets.files.ply import read_vertex_property
 from torchjoint.results.result import Result
-from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.archives import as_int64, read_archive
 from torchjoint.scene import Scene, Segmentation, Truth
+from torchjoint.scene.checks import as_labels, as_tensor
 from torchjoint.transforms import transfer_labels
+
+#: Names of labels in a file. If it has several, the last one, which is the newest, is shown.
+NAMES = "label", "superpoint"
+#: Largest distance between a point of a result and that of its scene, metres.
+NEAR = 1e-3
 
 
 def with_truth(result: Result, scene: Scene) -> Result:
@@ -29,10 +36,11 @@ def with_truth(result: Result, scene: Scene) -> Result:
     if scene.truth is None:
         raise ValueError(f"--truth: expected a scene with ground truth, got {scene.name} without")
     points = scene.truth.points
-    if points is not None and not (
-        len(points) == len(result.points) and torch.equal(scene.points, result.scene.points)
-    ):
-        points = transfer_labels(points, scene.points, result.scene.points)
+    if points is not None and not torch.equal(scene.points.double(), result.scene.points.double()):
+        index = transfer_labels(torch.arange(len(points)), scene.points, result.scene.points, NEAR)
+        if lost := int((index < 0).sum()):
+            raise ValueError(f"--truth: expected the points of the result; {scene.name} lacks {lost} of them")
+        points = points[index]
     images: list[Tensor] = []
     if len(scene.truth.images):
         place = {frame.name: index for index, frame in enumerate(scene.frames)}
@@ -43,25 +51,25 @@ def with_truth(result: Result, scene: Scene) -> Result:
 
 
 def read_labelled_cloud(path: Path) -> Result:
-    """Reads a .ply with `label`, a .las or .laz with `label` or `superpoint`, or a .npz with points and labels."""
-    cloud = read_cloud_file(path)
-    labels = _labels(path)
+    """Reads a .ply, .las or .laz with `label` or `superpoint`, or a .npz with points and labels."""
+    cloud, labels = read_cloud_file(path, None, "keep"), _labels(path)
     if labels is None or len(labels) != len(cloud.points):
-        wanted = "a .ply with `label`, a .las or .laz with `label` or `superpoint`, or a .npz with `labels`"
+        wanted = "a .ply, .las or .laz with `label` or `superpoint`, or a .npz with `labels`"
         raise ValueError(f"{path}: expected {wanted}, got no labels")
-    numbered = np.unique(labels, return_inverse=True)[1]
-    colors = None if path.suffix == ".ply" else cloud.colors  # those of a .ply are of its segments
-    scene = Scene(cloud.points, colors=colors, name=path.stem)
-    return Result.of(Segmentation(torch.from_numpy(numbered.astype(np.int64)), ()), scene)
+    name = f"{path}: labels"  # floats would be cut to integers
+    whole = as_labels(as_tensor(as_int64(labels, name), name), labels.shape[:1], name)
+    is_valid = cloud.points.isfinite().all(1)
+    cloud, numbered = cloud.chosen(is_valid), whole[is_valid].unique(return_inverse=True)[1]
+    scene = Scene(cloud.points, colors=cloud.colors, name=path.stem)
+    return Result.of(Segmentation(numbered, ()), scene)
 
 
-def _labels(path: Path) -> npt.NDArray[np.int64] | None:
+def _labels(path: Path) -> npt.NDArray[Any] | None:
     if path.suffix == ".npz":
-        labels = read_archive(path).get("labels")
-        return None if labels is None else labels.astype(np.int64)
+        return read_archive(path).get("labels")
     if path.suffix.lower() in (".las", ".laz"):
         with open_las(path) as reader:
-            found = set(reader.header.point_format.extra_dimension_names) & {"label", "superpoint"}
-            chunks = [np.asarray(chunk[min(found)]) for chunk in las_chunks(reader, path)] if found else []
-        return np.concatenate(chunks).astype(np.int64) if chunks else None
-    return read_vertex_property(path, "label") if path.suffix == ".ply" else None
+            found = [one for one in reader.header.point_format.extra_dimension_names if one in NAMES]
+            chunks = [np.asarray(chunk[found[-1]]) for chunk in las_chunks(reader, path)] if found else []
+        return np.concatenate(chunks) if chunks else None
+    return read_vertex_property(path, *NAMES) if path.suffix.lower() == ".ply" else None

@@ -123,14 +123,7 @@ class Evidence:
     def __add__(self, other: Evidence) -> Evidence:
         """The evidence of the frames of both; errors as of :meth:`check_cloud`."""
         self.check_cloud(other, "other")
-        return Evidence(
-            self.views + other.views,
-            self.overlap_sum + other.overlap_sum,
-            self.facing + other.facing,
-            self.contour_sum + other.contour_sum,
-            self.contour_views + other.contour_views,
-            self.observations + other.observations,
-        )
+        return Evidence(**{name: value + getattr(other, name) for name, value in vars(self).items()})
 
 
 def observe_frame(

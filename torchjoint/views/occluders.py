@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.groups import best_of_groups
 from torchjoint.views.visibility import Visible
 
 #: Smallest depth step from an occluder to the surface behind it: a share of the depth, but at least a multiple of the
@@ -35,11 +36,8 @@ class CoarseZBuffer(NamedTuple):
         cell = _cell_size(visible)
         row, column = visible.row // cell, visible.column // cell
         height, width = int(row.max()) + 1, int(column.max()) + 1
-        nearest = torch.full((height * width,), torch.iinfo(torch.int64).max)
-        # For positive floats the order of the bits is the order of the numbers.
-        rank = (visible.z.view(torch.int32).long() << 32) + torch.arange(len(visible.z))
-        nearest.scatter_reduce_(0, row * width + column, rank, "amin")
-        point = torch.where(nearest == torch.iinfo(torch.int64).max, -1, nearest & 0xFFFFFFFF)
+        number = torch.arange(len(visible.z))
+        point, _ = best_of_groups(row * width + column, number, -visible.z, height * width)
         return cls(cell, point.view(height, width))
 
 

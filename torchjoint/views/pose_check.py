@@ -371,12 +371,9 @@ def _fits_better(given: PoseAgreement, other: PoseAgreement, kind: str) -> bool:
     return depth_says or color_says or view_says
 
 
-def _residuals(agreement: PoseAgreement) -> tuple[float, float]:
+def _residuals(agreement: PoseAgreement) -> list[float]:
     """Of depth and colour; what is not known comes last."""
-    depth, color = (
-        math.inf if math.isnan(value) else value for value in (agreement.depth_residual, agreement.color_residual)
-    )
-    return depth, color
+    return np.nan_to_num((agreement.depth_residual, agreement.color_residual), nan=math.inf).tolist()
 
 
 def _complaints(given: PoseAgreement, others: dict[str, PoseAgreement], off_center: float) -> dict[str, str]:
@@ -406,8 +403,10 @@ def _complaints(given: PoseAgreement, others: dict[str, PoseAgreement], off_cent
             "of other images?"
         )
     if off_center > 0.2:
-        complaints["off center"] = (
+        told = (
             f"the principal point is {off_center:.0%} of the image's size off its centre: are the intrinsics those of "
             "another image size? (Scale them with the image.)"
         )
+        # A problem that ends a run would hide what comes after it.
+        complaints[next(iter(complaints), "off center")] = "; ".join((*complaints.values(), told))
     return complaints

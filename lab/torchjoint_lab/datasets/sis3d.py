@@ -115,7 +115,8 @@ def _is_scan(folder: Path) -> bool:
 
 def _point_truth(folders: Folders, points: Tensor, options: Options) -> Tensor | None:
     scan = folders.scan
-    if find_cloud(folders.images, options, [folders.cloud]) == folders.cloud:
+    # Names are compared without case, as the cloud's was when it was found.
+    if str(find_cloud(folders.images, options, [folders.cloud])).lower() == str(folders.cloud).lower():
         annotated = vertex_instances(folders.mesh, scan, points)
         if annotated is not None:
             return annotated

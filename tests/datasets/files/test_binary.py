@@ -41,7 +41,7 @@ def test_large_and_missing_files(archive, tmp_path):
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "c").write_bytes(bytes(1000))
     for path in (archive, tmp_path):
-        with pytest.raises(ValueError, match=r"b/c: expected at most 999 bytes, got 1000"):
+        with pytest.raises(ValueError, match=r"b/c: expected at most 999 bytes( of a part of .*)?, got 1000"):
             Members(path).read("b/c", 999)
         with pytest.raises(ValueError, match=r"\.\./x is missing"):
             Members(path).read("../x", 999)

@@ -50,6 +50,13 @@ def write(path, columns):
 FILES = pytest.mark.parametrize("suffix", [".ply", ".pcd", ".txt"])
 
 
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+def test_integers_of_0_and_1_are_nearly_black(tmp_path, suffix):
+    path = write(tmp_path / f"a{suffix}", PLACES | named(["red", "green", "blue"], BYTES > 99, "u1"))
+    with pytest.warns(UserWarning, match=rf"a\{suffix}: colours are only 0 and 1 of 255, and are read as black"):
+        assert read_cloud_file(path).colors.max() < 0.01
+
+
 @FILES
 @pytest.mark.parametrize(
     "names",
@@ -128,7 +135,7 @@ def test_packed_colours_of_any_type(kind):
 
 
 def test_what_is_unknown_is_told_and_what_is_known_is_not():
-    with pytest.warns(UserWarning, match=r"^a\.ply: red, foo, nx: no position, normal or colour by these names; not"):
+    with pytest.warns(UserWarning, match=r"^a\.ply: red, foo, nx: no position, normal or colour by these names; not u"):
         cloud_of(PLACES | dict.fromkeys(["red", "foo", "nx"], XYZ[:, 0]), "a.ply")
     known = ("Intensity", "label", "scale_0", "rot_3", "f_rest_44", "alpha", "scalar_Classification", "ring",
              "timestamp", "gps_time", "curvature", "_3", "quality", "scalar_Original_cloud_index")  # fmt: skip
@@ -185,3 +192,11 @@ def test_colours_of_12_bits_are_told():
 
 def test_signed_bytes_are_bytes():
     np.testing.assert_allclose(unit_colors(BYTES.view(np.int8)), UNIT, atol=1e-7)
+
+
+def test_colors_of_few_bits(recwarn):
+    """65535 is beyond float16."""
+    np.testing.assert_allclose(unit_colors(BYTES.astype(np.float16)), UNIT, atol=1e-3)
+    with pytest.raises(ValueError, match="colors: expected numbers, got bool"):
+        unit_colors(BYTES > 0)
+    assert not len(recwarn)

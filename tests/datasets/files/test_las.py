@@ -3,9 +3,11 @@
 import warnings
 
 import laspy
+import numpy as np
 import pytest
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct, WktCoordinateSystemVlr
 
+from torchjoint.datasets.files.clouds import read_cloud_file, up_of
 from torchjoint.datasets.files.las import epsg_of, read_las
 from torchjoint.tiles.plan import _bounds
 
@@ -34,7 +36,9 @@ def keys(**values):
     ],
 )
 def test_the_code_of_the_coordinate_system(tmp_path, record, code):
-    assert epsg_of(las(tmp_path / "a.las", record)) == code
+    file = las(tmp_path / "a.las", record)
+    assert epsg_of(file) == code
+    assert (None if code is None else [0, 0, 1]) == (None if (up := up_of(file)) is None else up.tolist())
 
 
 def las(path, record):
@@ -50,10 +54,7 @@ def las(path, record):
     [
         (WktCoordinateSystemVlr('PROJCS["Texas",GEOGCS["NAD83"],UNIT["US survey foot",0.304800609601219]]'), "feet"),
         (WktCoordinateSystemVlr(f'COMPD_CS["both",{UTM}],VERT_CS["NAVD88",UNIT["foot",0.3048]]]'), "feet"),
-        (WktCoordinateSystemVlr('GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]]'), "degrees"),
-        (WktCoordinateSystemVlr(f'COMPD_CS["both", GEOGCS["WGS 84"],{HEIGHT}]'), "degrees"),
         (keys(k1024=1, k3072=2277, k3076=9003), "feet"),
-        (keys(k1024=2, k2048=4326), "degrees"),
         (WktCoordinateSystemVlr(f"{UTM}]"), None),
         (keys(k1024=1, k3072=2056, k3076=9001), None),
     ],
@@ -68,6 +69,21 @@ def test_lengths_that_are_no_metres(tmp_path, record, unit):
     assert [str(one.message) for one in told] == ([] if unit is None else [message] * 2)
 
 
+@pytest.mark.parametrize(
+    "record",
+    [
+        WktCoordinateSystemVlr('GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]]'),
+        WktCoordinateSystemVlr(f'COMPD_CS["both", GEOGCS["WGS 84"],{HEIGHT}]'),
+        keys(k1024=2, k2048=4326),
+    ],
+)
+def test_degrees_are_an_error(tmp_path, record):
+    path = las(tmp_path / "a.las", record)
+    for read in (read_las, lambda one: _bounds([one])):
+        with pytest.raises(ValueError, match=r"a\.las: expected a coordinate system in metres, got one in degrees"):
+            read(path)
+
+
 @pytest.mark.parametrize("points_of_header", [0, 3])
 def test_a_file_without_chunks(tmp_path, points_of_header):
     """As a program leaves it that was stopped before it wrote points."""
@@ -79,3 +95,13 @@ def test_a_file_without_chunks(tmp_path, points_of_header):
     told = "3 points in its header, no chunks of points" if points_of_header else "no points"
     with pytest.raises(ValueError, match=rf"a\.laz: not a whole LAS file: .*{told}"):
         read_las(path)
+
+
+def test_other_dimensions_are_said_to_stay_in_the_file(tmp_path):
+    header = laspy.LasHeader(point_format=2)
+    header.add_extra_dim(laspy.ExtraBytesParams("Amplitude", np.float32))
+    cloud = laspy.LasData(header)
+    cloud.xyz = np.eye(3)
+    cloud.write(tmp_path / "a.laz")
+    with pytest.warns(UserWarning, match="Amplitude: no .*; not used for segments; `label` keeps them"):
+        read_cloud_file(tmp_path / "a.laz")

@@ -75,6 +75,7 @@ def test_points_beside_large_triangles_are_kept(tmp_path):
     with pytest.warns(UserWarning, match="triangles are large"):
         scene = tj.load_scene(path)
     assert int((scene.points[:, 2] == 0).sum()) == SIDE**2
+    assert scene.up.tolist() == [0, 1, 0]  # as glTF says
 
 
 def obj(path, *, colors=None, seams=False, faces=True, more=(), name="a"):
@@ -337,3 +338,11 @@ def test_a_texture_and_a_factor_of_a_glb(tmp_path):
     one.visual.material.baseColorFactor = [0, 255, 255, 255]
     read = read_cloud_file(glb(tmp_path / "a.glb", one))
     np.testing.assert_allclose(read.colors, np.tile([0, 100 / 255, 1], (len(PLANE), 1)), atol=1e-6)
+
+
+def test_vertices_of_an_obj_at_one_place(tmp_path):
+    """Two walls that touch, each with corners of its own: a triangle has those of its own wall."""
+    square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+    (tmp_path / "a.obj").write_text(f"{square}{square}f 1 2 3 4\nf 5/1 6/2 7/3 \\\n 8/4\nf -4 -3 -2\n")
+    faces = read_cloud_file(tmp_path / "a.obj").faces
+    assert faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7], [4, 5, 6]]

@@ -1,5 +1,7 @@
 """PLY: what others write is read as they read it; what is cut, too long or no number is an error."""
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
@@ -58,6 +60,20 @@ def test_open3d_reads_what_it_writes(tmp_path, dtype):
     np.testing.assert_array_equal(read.colors.numpy(), (COLORS * 255).round().numpy())
     assert read.label.numpy().ravel().tolist() == list(range(50))
     assert torch.equal(read_ply(tmp_path / "a.ply").points, points)
+
+
+@pytest.mark.parametrize(
+    ("comment", "told"),
+    [("comment units mm", "units mm"), ("obj_info Unit: Millimeters", "Unit: Millimeters"),
+     ("comment all lengths are in feet", "lengths are in feet"), ("comment units m", None),
+     ("comment VCGLIB generated", None), ("comment made in Cmkin 3", None), ("comment units: metres", None)],
+)  # fmt: skip
+def test_lengths_that_are_no_metres(tmp_path, comment, told):
+    path = written(tmp_path / "a.ply", header("ascii", comment, *VERTEX) + b"1 2 3\n4 5 6\n")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_ply(path)
+    assert [str(one.message) for one in caught] == ([f"{path}: {told}: taken as metres"] if told else [])
 
 
 @pytest.mark.parametrize("order", ["little", "big"])

@@ -217,3 +217,18 @@ def test_the_bound_is_exact(pack, make, step, monkeypatch):
         unpack(make, packed)
     with pytest.raises(ValueError, match="packed bytes are truncated"):
         unpack(make, pack(bytes(4000))[:-3])
+
+
+def test_many_streams_take_no_square_of_time():
+    fed = []
+
+    class Unpacker:
+        eof, needs_input, unused_data = False, True, b""
+
+        def decompress(self, piece, max_length):
+            fed.append(len(piece))
+            self.eof, self.unused_data = True, piece[1:]
+            return piece[:1]
+
+    assert unpack(Unpacker, b"ab" * 5000) == b"ab" * 5000
+    assert sum(fed) <= 10_000 * 1024  # not 50 million

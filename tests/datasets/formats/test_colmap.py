@@ -317,7 +317,9 @@ class TestClouds:
     def test_no_cloud(self, folder, model):
         for file in model.glob("points3D.*"):
             file.unlink()
-        with pytest.raises(FileNotFoundError, match=r"points3D\.txt: missing; expected COLMAP's 3D points"):
+        with pytest.raises(
+            FileNotFoundError, match=r"points3D\.(bin|txt): missing; expected (a binary file|COLMAP's 3D points)"
+        ):
             tj.load_scene(folder)
 
     def test_no_points(self, folder, model, kind):
@@ -391,3 +393,35 @@ class TestBinary:
     def test_it_goes_before_text(self, folder, model):
         (model / "images.txt").write_text("nonsense")
         assert len(tj.load_scene(folder).frames) == 6
+
+    @pytest.mark.parametrize("lost", ["cameras", "images", "points3D"])
+    def test_one_kind_of_files_is_read(self, folder, model, synthetic, lost):
+        """As COLMAP does: a camera of one model is not that of another."""
+        text = model.parent.parent / "text"
+        write(text, synthetic, "txt", "sparse/0")
+        expected = tj.load_scene(text)
+        for part in ("cameras", "images", "points3D"):
+            shutil.copy(text / "sparse" / "0" / f"{part}.txt", model)
+        data = (model / "cameras.bin").read_bytes()
+        (model / "cameras.bin").write_bytes(data[:32] + struct.pack("<d", 1000) + data[40:])  # of another camera
+        (model / f"{lost}.bin").unlink()
+        assert torch.equal(tj.load_scene(folder).frames[0].intrinsics, expected.frames[0].intrinsics)
+
+    @pytest.mark.parametrize(
+        ("name", "place", "layout", "value", "message"),
+        [
+            ("images", 8, "I", None, "image [0-9]+ is there twice"),
+            ("points3D", 8, "Q", None, "point [0-9]+ is there twice"),
+            ("points3D", 16, "d", float("nan"), "1 of [0-9]+ points are NaN or infinite; --drop-invalid"),
+            ("points3D", 24, "d", 1e300, r"expected coordinates up to 1e\+12, got 1e\+300"),
+        ],
+    )
+    def test_wrong_numbers_in_it(self, folder, model, name, place, layout, value, message):
+        file = model / f"{name}.bin"
+        content = bytearray(file.read_bytes())
+        if value is None:  # the id of the second
+            value = struct.unpack_from(f"<{layout}", content, place)[0] - 1
+        struct.pack_into(f"<{layout}", content, place, value)
+        file.write_bytes(content)
+        with pytest.raises(ValueError, match=rf"{name}\.bin: {message}"):
+            tj.load_scene(folder)

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import ExifTags, Image
 from posed_files import assert_same_frames, assert_same_segmentation, eight_bits, save_depth, save_image
 
 import torchjoint as tj
@@ -66,6 +66,21 @@ def test_a_scene_comes_back(folder, synthetic):
     assert [frame.name for frame in scene.frames] == [f"frame_{index:05d}" for index in range(1, 7)]
     assert torch.equal(scene.points, expected.points)
     assert_same_segmentation(scene, expected)
+
+
+@pytest.mark.parametrize("turn", [1, 3, 6])
+def test_a_turned_photograph_whose_size_is_not_given(folder, turn):
+    """Its own size was taken for that of the camera, so that it always seemed to be right as it is stored."""
+    values, tags = read(folder), Image.Exif()
+    save(folder, {key: value for key, value in values.items() if key not in ("w", "h")})
+    tags[ExifTags.Base.Orientation] = turn
+    file = folder / "images" / "frame_00002.png"
+    Image.open(file).save(file, exif=tags)
+    if turn == 1:
+        assert len(tj.load_scene(folder).frames) == 6
+    else:
+        with pytest.raises(ValueError, match=rf"frame_00002\.png: EXIF .*orientation {turn}.*turn the image, or"):
+            tj.load_scene(folder)
 
 
 def test_paths_of_windows(folder):
@@ -204,6 +219,10 @@ class TestDepth:
         depth = self.load(folder, "0.npy")
         assert depth[:2, :8].tolist() == [[0, 0, 0, 0, 0, 0, 1, 1]] * 2
 
+    def test_the_largest_integer_is_unknown_as_in_an_image(self, folder):
+        np.save(folder / "0.npy", np.where(np.arange(160) < 80, 65535, 2000).astype(np.uint16)[None].repeat(120, 0))
+        assert self.load(folder, "0.npy").unique().tolist() == [0, 2]
+
     def test_a_cloud_is_fused(self, folder, synthetic):
         transforms = read(folder)
         del transforms["ply_file_path"]
@@ -309,7 +328,7 @@ class TestPaths:
         ({}, {"transform_matrix": [[1, 0, 0, 0]]}, r"transform_matrix: expected shape \[4, 4\], got \[1, 4\]"),
         ({}, {"transform_matrix": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]}, r"transform_matrix: expected a rigid"),
         ({}, {"file_path": 3}, r"frames\[0\]: file_path: expected a string, got 3"),
-        ({}, {"file_path": "images/frame_00001.png"}, r"two are of .*images/frame_00001\.png"),
+        ({}, {"file_path": "images/frame_00001.png"}, r"frames: image '.*images/frame_00001\.png' is there twice"),
         (
             {},
             {"depth_file_path": "sparse_pc.ply", "depth_unit_scale_factor": 0},

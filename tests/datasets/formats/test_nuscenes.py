@@ -101,7 +101,7 @@ def test_paths_stay_in_the_folder(folder, name, of):
         (lambda s: s["instances"][1].update(bbox_3d=[1, 2]), r"instances\[1\]: bbox_3d: expected 7 numbers"),
         (
             lambda s: s["instances"][1]["bbox_3d"].__setitem__(3, 0),
-            r"instances\[1\]: bbox_3d: expected a length, width",
+            r"instances\[1\]: bbox_3d: expected lengths > 0",
         ),
     ],
 )

@@ -142,8 +142,9 @@ def test_the_latest_transform_of_a_fixed_frame_counts(tmp_path):
 
 
 @pytest.mark.parametrize("frame", ["camera_optical", "left_optical"])
-def test_a_right_camera_in_the_frame_of_the_left_is_told(frame, tmp_path):
-    names = {"/camera/image_raw": "/right/image_rect", "/camera/camera_info": "/right/camera_info"}
+@pytest.mark.parametrize("image", ["image_rect", "image_raw"])
+def test_a_right_camera_in_the_frame_of_the_left_is_told(frame, image, tmp_path):
+    names = {"/camera/image_raw": f"/right/{image}", "/camera/camera_info": "/right/camera_info"}
     messages = [(names.get(topic, topic), time, message) for topic, time, message in ros.messages()]
     for topic, _, message in messages:
         if topic == "/right/camera_info":
@@ -154,6 +155,16 @@ def test_a_right_camera_in_the_frame_of_the_left_is_told(frame, tmp_path):
         tj.load_scene(bag, voxel_size=0.1, topics={"info": "/right/camera_info"})
     expected = "another camera has the frame 'camera_optical', too; P of /right/camera_info has a shift"
     assert [expected in str(one.message) for one in told] == [True] * (frame == "camera_optical")
+
+
+@pytest.mark.parametrize(("image", "kind"), [("image_rect", "rectified"), ("image_raw", "unrectified")])
+def test_the_rotation_of_a_stereo_pair_is_told(image, kind, tmp_path):
+    messages = [(f"/camera/{image}" if "image" in topic else topic, time, one) for topic, time, one in ros.messages()]
+    for topic, _, one in messages:
+        if topic == "/camera/camera_info":
+            one.r[:2] = one.r[3:5] = 0.9998, 0.02
+    with pytest.warns(UserWarning, match=rf"R of /camera/camera_info turns .* are those of the {kind} camera"):
+        tj.load_scene(ros.record(tmp_path / "pair", messages), voxel_size=0.1)
 
 
 def test_two_parents_of_one_frame_are_no_tree(tmp_path):

@@ -112,11 +112,12 @@ class TestAssociation:
 
     def test_depth_is_optional(self, folder):
         (folder / "depth.txt").unlink()
+        shutil.rmtree(folder / "depth")
         assert all(frame.depth is None for frame in tj.load_scene(folder).frames)
 
     def test_no_image_with_a_pose(self, folder):
         (folder / "groundtruth.txt").write_text("5 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n")
-        with pytest.raises(ValueError, match=r"no image of rgb\.txt has a pose in groundtruth\.txt within 0\.02 s"):
+        with pytest.raises(ValueError, match=r"none of 6 images has a pose within 0\.02 s \(groundtruth\.txt\)"):
             tj.load_scene(folder)
 
 
@@ -183,10 +184,17 @@ class TestCalibration:
         torch.testing.assert_close(frame.intrinsics.diagonal()[:2].float(), rectified, atol=0.5, rtol=0)
         assert frame.depth.shape == (120, 160)
 
-    def test_another_name_is_warned_about(self, folder):
-        with pytest.warns(UserWarning, match=r"mine: expected camera-intrinsics\.txt, or a name of .* 525"):
-            frame = self.load(folder, "mine")
-        assert float(frame.intrinsics[0, 0]) == 525 / 4
+    def test_another_name_is_refused(self, folder):
+        told = (
+            r"mine: expected camera-intrinsics\.txt with fx 0 cx, .*, or a name of the TUM benchmark .*, found neither"
+        )
+        with pytest.raises(ValueError, match=told):
+            self.load(folder, "mine")
+
+    def test_the_name_of_a_folder_above(self, folder):
+        (folder / "camera-intrinsics.txt").unlink()
+        inside = shutil.copytree(folder, folder.with_name("fr3_desk") / "mine")
+        assert float(tj.load_scene(inside).frames[0].intrinsics[0, 0]) == 535.4 / 4
 
     def test_a_matrix_that_is_none(self, folder):
         (folder / "camera-intrinsics.txt").write_text("0 0 0 0 0 0 0 0 0")
@@ -207,3 +215,10 @@ def test_bad_lists(folder, text, error, message):
     (folder / "rgb.txt").write_text(text)
     with pytest.raises(error, match=message):
         tj.load_scene(folder)
+
+
+def test_a_name_with_a_space(folder):
+    time, name = (folder / "rgb.txt").read_text().splitlines()[-1].split()
+    (folder / name).rename(folder / "rgb" / "an image.png")
+    (folder / "rgb.txt").write_text(f"{time} rgb/an image.png\n")
+    assert tj.load_scene(folder).frames.names == ["an image"]

@@ -33,18 +33,19 @@ def test_sums_and_means_by_hand():
     found = of_gaps([5.0, 1, 3, math.nan, 2, 4, math.nan], [0, 0, 0, 0, 0, 2, 1], 3)
     assert found.num_edges.tolist() == [5, 1, 1]
     assert found.binned["gap"].sum(2).tolist() == [[4, 11], [0, 0], [1, 4]]
-    means, quantiles = found.means(), found.quantiles(SHARES)
-    assert means["gap"][[0, 2]].tolist() == [11 / 4, 4]
-    assert quantiles["gap"][[0, 2]].tolist() == [[1, 3, 5], [4, 4, 4]]  # the places 0.3, 1.5 and 2.7 are rounded
-    assert means["gap"][1].isnan()
-    assert quantiles["gap"][1].isnan().all()
-    assert [*found.binned] == [*quantiles] == ["gap"]  # all else is unknown
-    assert all((means[name] == 0).all() for name in AVERAGED)
+    summaries = found.summaries(SHARES)
+    means, quantiles = summaries["gap"]
+    assert means[[0, 2]].tolist() == [11 / 4, 4]
+    assert quantiles[[0, 2]].tolist() == [[1, 3, 5], [4, 4, 4]]  # the places 0.3, 1.5 and 2.7 are rounded
+    assert means[1].isnan()
+    assert quantiles[1].isnan().all()
+    assert [*found.binned] == [*summaries] == ["gap"]  # all else is unknown
+    assert all((of_edges == 0).all() for of_edges in found.averages().values())
 
 
 def test_what_is_averaged_counts_all_edges():
     values = {"views": torch.tensor([0, 2, 4]), "unoriented": torch.tensor([True, False, False])}
-    means = Boundaries.of(torch.tensor([0, 0, 1]), 2, values).means()
+    means = Boundaries.of(torch.tensor([0, 0, 1]), 2, values).averages()
     assert means["views"].tolist() == [1, 4]
     assert means["unoriented"].tolist() == [0.5, 0]
 
@@ -55,7 +56,7 @@ def test_a_quantile_lies_in_the_bin_of_the_exact_one(data):
     numbers = st.floats(-2 if name == "crease" else 0, 100, width=32)
     values = data.draw(st.lists(numbers, min_size=1, max_size=30))
     found = Boundaries.of(torch.zeros(len(values), dtype=torch.int64), 1, {name: torch.tensor(values)})
-    quantiles = found.quantiles(SHARES)[name][0]
+    quantiles = found.summaries(SHARES)[name][1][0]
     for quantile, share in zip(quantiles.tolist(), SHARES, strict=True):
         exact = sorted(values)[int((torch.tensor(share) * (len(values) - 1)).round())]
         low, high = bounds(exact, name)
@@ -71,7 +72,7 @@ def test_extreme_values(value):
     found = of_gaps([value], [0], 1)
     assert found.binned["gap"][:, 0].sum() == (value < math.inf)
     expected = [value] * 3 if value < math.inf else [math.nan] * 3
-    assert found.quantiles(SHARES)["gap"][0].tolist() == pytest.approx(expected, nan_ok=True)
+    assert found.summaries(SHARES)["gap"][1][0].tolist() == pytest.approx(expected, nan_ok=True)
     assert not found.binned["gap"].isnan().any()
 
 
@@ -97,15 +98,20 @@ def test_histograms_of_many_boundaries_are_those_of_few(monkeypatch):
     kept = Boundaries.of(pair, 9, values)
     monkeypatch.setattr("torchjoint.segments.learned.boundaries.MANY_BOUNDARIES", 8)
     counted = Boundaries.of(pair, 9, values)
+    same = [torch.arange(9)], [torch.arange(9)], [9]
+    grouped = kept.grouped(*same)
     assert isinstance(kept.binned, dict)
+    assert isinstance(counted.grouped(*same).binned, dict)
     assert not isinstance(counted.binned, dict)
+    assert not isinstance(grouped.binned, dict)
     assert kept.num_edges.tolist() == pair.bincount().tolist()
     assert kept.binned["gap"][:, 1].sum(1).allclose(torch.zeros(9).index_add_(0, pair, values["gap"]))
     both = [torch.arange(9)], [torch.arange(9) // 2], [5]
-    for one, other in ((kept, counted), (kept.grouped(*both), counted.grouped(*both))):
-        assert all(map(torch.equal, columns(one), columns(other)))
-        assert all(map(torch.equal, one.means().values(), other.means().values()))
-        assert torch.equal(one.quantiles((0.5,))["gap"], other.quantiles((0.5,))["gap"])
+    for other in (counted, grouped):
+        for one, again in ((kept, other), (kept.grouped(*both), other.grouped(*both))):
+            assert all(map(torch.equal, columns(one), columns(again)))
+            assert all(map(torch.equal, one.averages().values(), again.averages().values()))
+            assert all(map(torch.equal, one.summaries((0.5,))["gap"], again.summaries((0.5,))["gap"]))
 
 
 def columns(boundaries):

@@ -134,7 +134,7 @@ class TestSummaries:
         surface = Surface(points, points, ones > 0, ones, ones, lab)
         region = torch.tensor([0, 0, 0, 1, 1, 2])
         inner = InnerEdges(region[:-1], ones[:-1], torch.tensor([4.0, torch.nan, 2, torch.nan, torch.nan]))
-        found = statistics_of_points(region, surface, inner)
+        found = statistics_of_points(region, surface, [inner])
         assert found.colored.tolist() == [2, 1, 0]
         assert found.color[:2].tolist() == [[2, 2, 2], [5, 5, 5]]
         assert found.color_variance[:2].tolist() == [[1, 0, 1], [0, 0, 0]]
@@ -158,9 +158,10 @@ class TestSummaries:
         of_superpoint = torch.arange(12) // 4
         of_edge = superpoint.repeat(4)  # each superpoint has as many edges for a point
         turn, step = torch.rand(2, 240, generator=generator)
-        superpoints = statistics_of_points(superpoint, surface, InnerEdges(of_edge, turn, step))
+        halves = [InnerEdges(of_edge[half], turn[half], step[half]) for half in (slice(100), slice(100, None))]
+        superpoints = statistics_of_points(superpoint, surface, halves)
         expected = statistics_of_points(
-            of_superpoint[superpoint], surface, InnerEdges(of_superpoint[of_edge], turn, step)
+            of_superpoint[superpoint], surface, [InnerEdges(of_superpoint[of_edge], turn, step)]
         )
         for name, found, wanted in zip(
             superpoints._fields, pooled(superpoints, of_superpoint, 3), expected, strict=True
@@ -184,7 +185,7 @@ class TestSummaries:
 
         def bulges(shift):
             surface = Surface(points.double() + torch.tensor(shift), normals, ones > 0, ones, ones, None)
-            regions = pooled(statistics_of_points(superpoint, surface, inner), of_superpoint, 3)
+            regions = pooled(statistics_of_points(superpoint, surface, [inner]), of_superpoint, 3)
             union = bulge_of_unions(regions, torch.tensor([0, 1]), torch.tensor([2, 2]))
             return torch.cat([regions.bulge, union])
 
@@ -201,7 +202,7 @@ class TestSummaries:
         region, ones = torch.arange(4).repeat_interleave(400), torch.ones(1600)
         surface = Surface(points, normals, region < 3, ones, ones, None)
         inner = InnerEdges(torch.tensor([0, 0, 1]), torch.tensor([0.25, 0.5, 1.0]), None)
-        found = statistics_of_points(region, surface, inner)
+        found = statistics_of_points(region, surface, [inner])
         assert found.bulge.tolist() == pytest.approx([0.3, -0.3, 0, 0], abs=1e-6)
         assert found.outward.abs().amax(1).tolist() == pytest.approx([0, 0, 1, 0], abs=1e-6)
         assert found.roughness.tolist() == [0.375, 1, 0, 0]

@@ -12,6 +12,7 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 import numpy as np
 import numpy.typing as npt
 
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, dict_of, has_file, has_folder, open_file, present, read_file
 
 
@@ -24,10 +25,9 @@ class BinaryFile:
     """
 
     def __init__(self, path: Path, name: str | None = None) -> None:
-        present(path, "a binary file")
         self.name = str(path) if name is None else name
         self.place = 0
-        self.size = path.stat().st_size
+        self.size = present(path, "a binary file").stat().st_size
         if self.size == 0:
             raise ValueError(f"{path}: is empty")
         with open_file(path) as stream:
@@ -101,11 +101,10 @@ class Members:
         """Reads a file of at most `most` bytes."""
         if name not in self.names:
             raise ValueError(f"{self.path}: {name} is missing")
-        file = self.path / name
-        size = file.stat().st_size if has_folder(self.path) else self._entries[name].file_size
-        if size > most:
-            raise ValueError(f"{self.path}: {name}: expected at most {most} bytes, got {size}")
-        return read_file(file, "a part of a recording", most) if has_folder(self.path) else self._unpack(name)
+        if has_folder(self.path):
+            return read_file(self.path / name, "a part of a recording", most)
+        bounds.check(self._entries[name].file_size, most, "bytes", f"{self.path}: {name}")
+        return self._unpack(name)
 
     def _unpack(self, name: str) -> bytes:
         entry = self._entries[name]

@@ -69,6 +69,14 @@ def read_cloud_file(
     return read if read.opacities is None else read.chosen(_opaque(read.opacities, least_opacity, path))
 
 
+def up_of(path: Path) -> Tensor | None:
+    """The upward direction [3] in a file's coordinates: y in glTF, z in a survey's system; None: they do not tell."""
+    suffix = path.suffix.lower()
+    if suffix in las.SUFFIXES and las.epsg_of(path) is not None:
+        return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    return torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64) if suffix in (".glb", ".gltf") else None
+
+
 def _opaque(opacities: Tensor, least: float, path: Path) -> Tensor:
     """Which Gaussian splats [N] are visible enough to be a part of a surface, [N] bool."""
     enough = opacities >= least
@@ -92,12 +100,13 @@ def _read(path: Path, columns: int | str | None) -> CloudFile:
     if isinstance(columns, str):
         if suffix not in LETTERED:
             raise ValueError(f"{path}: expected a file that ends in {', '.join(LETTERED)}, for columns {columns!r}")
-        if [columns.count(letter) for letter in "xyz"] != [1, 1, 1] or not _is_whole(columns):
+        xyz, rgb, n = ([columns.count(letter) for letter in letters] for letters in ("xyz", "rgb", "n"))
+        if xyz != [1, 1, 1] or rgb not in ([0, 0, 0], [1, 1, 1]) or n not in ([0], [3]):
             raise ValueError(f"columns: expected x, y, z, and r, g, b or nnn if there are any, got {columns!r}")
+    elif columns is not None and (suffix != ".bin" or columns < 3):
+        raise ValueError(f"{path}: expected at least 3 columns, and a file that ends in .bin, got {columns} columns")
     if suffix in _READERS:
         return _READERS[suffix](path)
-    if isinstance(columns, int) and (suffix != ".bin" or columns < 3):
-        raise ValueError(f"{path}: expected at least 3 columns, and a file that ends in .bin, got {columns} columns")
     if suffix == ".bin":
         if isinstance(columns, str):
             return cloud_of_letters(read_scan(path, len(columns), "keep").numpy(), columns)
@@ -115,8 +124,7 @@ def _read_bin(path: Path, columns: int | None) -> Tensor:
     """A LiDAR scan; if the number of columns was not given, it must be plausible."""
     usual = 5 if path.name.lower().endswith(".pcd.bin") else 4
     rows = read_scan(path, columns or usual, "keep")
-    better = None if columns is not None else likelier_columns(rows)
-    if better is not None:
+    if columns is None and (better := likelier_columns(rows)) is not None:
         raise ValueError(
             f"{path}: expected rows of {usual} float32, but rows of {better} are more plausible: consecutive points "
             f"are then near each other; give the number of columns (--columns {better}, or --columns {usual})"
@@ -140,8 +148,7 @@ def likelier_columns(rows: Tensor) -> int | None:
 
 def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:
     """Reads a LiDAR scan of KITTI or nuScenes, float32 rows x, y, z, ...; returns [N, columns]."""
-    present(path, "a LiDAR scan")
-    size = path.stat().st_size
+    size = present(path, "a LiDAR scan").stat().st_size
     if size == 0 or size % (4 * columns):
         raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")
     rows = torch.from_numpy(np.fromfile(path, dtype="<f4").reshape(-1, columns))
@@ -153,12 +160,12 @@ def _from_archive(path: Path) -> CloudFile:
     if "points" not in values:
         raise ValueError(f"expected an array `points`, got {', '.join(values) or 'none'}")
     count = len(values["points"]) if values["points"].shape[1:] == (3,) else -1
-    for name in ("points", "colors", "normals"):
+    names = {"points": ("x", "y", "z"), "colors": ("r", "g", "b"), "normals": ("nx", "ny", "nz")}
+    for name in names:
         if name in values and (values[name].shape != (count, 3) or values[name].dtype.kind in "US"):
             got = f"{values[name].dtype} {[*values[name].shape]}"
             raise ValueError(f"{name}: expected a row of three numbers for each point, got {got}")
-    tell_not_read(set(values) - {"points", "colors", "normals", "faces"}, str(path))
-    names = {"points": ("x", "y", "z"), "colors": ("r", "g", "b"), "normals": ("nx", "ny", "nz")}
+    tell_not_read(set(values) - {*names, "faces"}, str(path))
     columns = {name: values[array][:, at] for array in names if array in values for at, name in enumerate(names[array])}
     cloud, faces = cloud_of(columns, str(path)), values.get("faces", np.empty(0))
     if not len(faces):
@@ -166,8 +173,3 @@ def _from_archive(path: Path) -> CloudFile:
     if faces.shape[1:] != (3,) or faces.dtype.kind not in "iu" or not 0 <= faces.min() <= faces.max() < count:
         raise ValueError(f"faces: expected rows of three of the {count} points, got {faces.dtype} {[*faces.shape]}")
     return cloud._replace(faces=torch.from_numpy(faces.astype(np.int64)))
-
-
-def _is_whole(letters: str) -> bool:
-    """Whether colours and normals have three columns each, if any."""
-    return [letters.count(letter) for letter in "rgb"] in ([0] * 3, [1] * 3) and letters.count("n") in (0, 3)

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.scene.checks import tell_half
 from torchjoint.scene.cloud import full_brightness
 
 Array = npt.NDArray[Any]
@@ -90,7 +91,12 @@ def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
         raise ValueError(f"expected x, y and z, got {', '.join(columns) or 'nothing'}: {missing} missing")
     narrow = all(column.dtype.str[1:] == "f4" for column in xyz)
     points = _stacked(xyz, np.float32 if narrow else np.float64)
+    if any(column.dtype.str[1:] == "f2" for column in xyz):
+        tell_half(float(points.abs().max()), torch.float16, name)
     rgb, normals, opacities = group(COLORS), group(NORMALS), None
+    if rgb is not None and all(one.dtype.kind in "iu" for one in rgb) and max(one.max(initial=0) for one in rgb) == 1:
+        told = "colours are only 0 and 1 of 255, and are read as black: are they of 0 to 1?"
+        warnings.warn(f"{name}: {told}", stacklevel=4)
     colors = None if rgb is None else unit_colors(np.stack(rgb, axis=1))
     for packed in PACKED:
         whole = next((column for column in columns if plain(column) == packed), None)
@@ -112,8 +118,18 @@ def tell_not_read(columns: Iterable[str], name: str) -> None:
     left = [column for column in columns if not NOT_READ.fullmatch(plain(column))]
     if left:
         some = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
-        told = f"{name}: {some}: no position, normal or colour by these names; not used (docs/your_data.md)"
+        kept = " for segments; `label` keeps them" if name.lower().endswith((".las", ".laz")) else ""
+        told = f"{name}: {some}: no position, normal or colour by these names; not used{kept} (docs/your_data.md)"
         warnings.warn(told, stacklevel=5)
+
+
+def colors_of_all(parts: Sequence[tuple[str, Tensor | None]], name: str, what: str) -> Tensor | None:
+    """The colours of parts of a cloud, by their names, as one; None if a part has none, which a warning tells."""
+    bare = [part for part, colors in parts if colors is None]
+    if 0 < len(bare) < len(parts):
+        told = f"{name}: {len(bare)} of {len(parts)} {what} have no colours, so those of the others are not read"
+        warnings.warn(f"{told}: {', '.join(bare[:9])}", stacklevel=5)
+    return None if bare or not parts else torch.cat([colors for _, colors in parts if colors is not None])
 
 
 def plain(column: str) -> str:
@@ -123,8 +139,10 @@ def plain(column: str) -> str:
 
 def unit_colors(colors: Array) -> Tensor:
     """Colours [N, 3] of one file, of any type and scale, as [N, 3] float32; NaN and what is no colour stay outside."""
-    if colors.dtype == np.int8:
-        colors = colors.view(np.uint8)
+    if colors.dtype.kind not in "iuf":
+        raise ValueError(f"colors: expected numbers, got {colors.dtype}")
+    colors = colors.view(np.uint8) if colors.dtype == np.int8 else colors
+    colors = colors.astype(np.float32) if colors.dtype == np.float16 else colors  # 65535 is beyond it
     is_float = colors.dtype.kind == "f"
     largest = float(np.max(colors, initial=0, where=np.abs(colors) <= 65535 if is_float else True))
     if is_float and largest == 256:
@@ -132,9 +150,6 @@ def unit_colors(colors: Array) -> Tensor:
         colors, largest = np.where(colors == 256, 255, colors), 255.0
     most = None if is_float else int(np.iinfo(colors.dtype).max)
     white = 255 if colors.dtype == np.uint8 else full_brightness(largest, most)
-    if white == 65535 and largest < 4096:
-        told = f"colours are at most {largest:g} of 65535, and are read as dark: are they of 12 bits?"
-        warnings.warn(told, stacklevel=4)
     return torch.from_numpy((colors if white == 1 else colors / white).astype(np.float32))
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import re
 import struct
-import warnings
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -20,7 +19,7 @@ import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.cameras import poses_from_quaternions
-from torchjoint.datasets.files.columns import CloudFile, tell_not_read
+from torchjoint.datasets.files.columns import CloudFile, colors_of_all, tell_not_read
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.runtime.messages import needed_for
@@ -47,21 +46,16 @@ def read_e57(path: Path) -> CloudFile:
         import pye57
     try:
         with pye57.E57(str(path)) as file:
-            _check_counts(path, [file.get_header(index).point_count for index in range(file.scan_count)])
+            counts = [file.get_header(index).point_count for index in range(file.scan_count)]
+            if sum(counts) == 0 or min(counts) < 0:
+                raise ValueError(f"expected scans with points, got {counts} points")
+            bounds.check_points(sum(counts), path.stat().st_size)
             scans = [_scan(file, index, f"{path}: scan {index}") for index in range(file.scan_count)]
     except Exception as error:  # the library raises several types of its own
         raise ValueError(f"{path}: not a whole E57 file: {str(error).strip() or type(error).__name__}") from error
+    colors = [(str(index), None if rgb is None else torch.from_numpy(rgb)) for index, (_, rgb) in enumerate(scans)]
     points = torch.from_numpy(np.concatenate([xyz for xyz, _ in scans]))
-    bare = [str(index) for index, (_, rgb) in enumerate(scans) if rgb is None]
-    if bare:
-        if len(bare) < len(scans):
-            warnings.warn(
-                f"{path}: {len(bare)} of {len(scans)} scans have no colours ({', '.join(bare[:9])}), so those of the "
-                "others are not read",
-                stacklevel=4,
-            )
-        return CloudFile(points)
-    return CloudFile(points, torch.from_numpy(np.concatenate([rgb for _, rgb in scans if rgb is not None])))
+    return CloudFile(points, colors_of_all(colors, str(path), "scans"))
 
 
 def _check_xml(path: Path) -> None:
@@ -90,12 +84,6 @@ def _check_depth(xml: bytes) -> None:
     parser.StartElementHandler = lambda name, attributes: move(1)
     parser.EndElementHandler = lambda name: move(-1)
     parser.Parse(xml, True)
-
-
-def _check_counts(path: Path, counts: list[int]) -> None:
-    if sum(counts) == 0 or min(counts) < 0:
-        raise ValueError(f"expected scans with points, got {counts} points")
-    bounds.check_points(sum(counts), path.stat().st_size)
 
 
 def _scan(file: Any, index: int, name: str) -> tuple[Array, Array | None]:

@@ -14,7 +14,7 @@ import re
 import struct
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,10 +73,13 @@ def epsg_of(path: Path) -> int | None:
 
 
 def tell_unit(reader: Any, path: Path) -> None:
-    """Warns if the coordinate system of an open file does not count in metres."""
+    """Warns if the coordinate system of an open file has feet; degrees are an error."""
     text, keys = _system(reader)
     if re.match(r'\s*(COMP\w+\["[^"]*",\s*)?GEO\w+\[', text) or keys.get(MODEL) == 2:
-        warnings.warn(f"{path}: its coordinate system has degrees; they are taken as metres", stacklevel=4)
+        raise ValueError(
+            f"{path}: expected a coordinate system in metres, got one in degrees; project it before, such as with "
+            "`pdal translate IN.laz OUT.laz reprojection --filters.reprojection.out_srs=EPSG:25832`"
+        )
     elif re.search(r'UNIT\["[^"]*(foot|feet)', text, re.I) or keys.get(LINEAR) in FEET:
         warnings.warn(f"{path}: its coordinate system has feet; they are taken as metres", stacklevel=4)
 
@@ -106,21 +109,15 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
         only_places: decompress only coordinates, colours and extra dimensions, if the file's point format allows it.
     """
     laspy = las_library()
-    header = check_header(path)
-    wanted = laspy.DecompressionSelection.all()
-    if only_places:
-        kinds = laspy.DecompressionSelection
-        wanted = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.RGB | kinds.ALL_EXTRA_BYTES
-    reader = None
-    try:
+    header, kinds = check_header(path), laspy.DecompressionSelection
+    places = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.RGB | kinds.ALL_EXTRA_BYTES
+    with ExitStack() as stack:
         with _clear_errors(path):
-            reader = laspy.open(path, decompression_selection=wanted)
+            opened = laspy.open(path, decompression_selection=places if only_places else kinds.all())
+            reader = stack.enter_context(opened)
             if header.is_compressed:
                 _compare_chunks(reader, header, path)
         yield reader
-    finally:
-        if reader is not None:
-            reader.close()
 
 
 def las_chunks(reader: Any, path: Path, count: int = CHUNK) -> Iterator[Any]:
@@ -158,9 +155,8 @@ def _clear_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
-            raise
-        if isinstance(error, MemoryError):
+        is_of_library = isinstance(error, Exception) or type(error).__name__ == "PanicException"
+        if isinstance(error, MemoryError) or not is_of_library:
             raise
         raise ValueError(f"{path}: not a whole LAS file: {error}") from error
 
@@ -251,10 +247,6 @@ def _parse(head: bytes) -> LasHeader:
 
 def _check_records(file: BinaryFile, header: LasHeader) -> None:
     """Checks that the records before and after the points lie in the file."""
-    room, behind = header.points_at - header.size, file.size - header.extended_at
-    if header.num_records * RECORD > room or header.num_extended * EXTENDED_RECORD > behind:
-        held = f"{header.num_records} and {header.num_extended} records"
-        raise ValueError(f"{held} do not fit into {room} and {behind} bytes")
     file.place = header.size
     for _ in range(header.num_records):
         file.skip(RECORD - 34)

@@ -10,7 +10,7 @@ import math
 import struct
 import zlib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,15 +32,6 @@ _IS_COMPLEX = 0x0800
 
 #: Upper bound for the bytes of a variable's name and shape.
 _START_BYTES = 4096
-
-
-class _Variable(NamedTuple):
-    """The header of a variable."""
-
-    name: str
-    shape: tuple[int, ...]
-    is_real: bool  #: real numbers; False for text, cells, ...
-    start: int  #: byte offset of the numbers
 
 
 def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
@@ -66,14 +57,17 @@ def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
             place += count
             if kind not in (_MATRIX, _COMPRESSED):
                 continue
-            variable = _read_start(body, order)
-            if variable.is_real and len(variable.shape) == 2:
-                max_count -= math.prod(variable.shape)
+            name, shape, is_real, start = _read_start(body, order)
+            if is_real and len(shape) == 2:
+                max_count -= math.prod(shape)
                 if max_count < 0:
-                    raise ValueError(f"{variable.name} of {variable.shape} numbers: {-max_count} more than expected")
+                    raise ValueError(f"{name} of {shape} numbers: {-max_count} more than expected")
                 if packed is not None:
-                    body = _unpack(packed, variable.start + 8 + 8 * math.prod(variable.shape), order)
-                matrices[variable.name] = _read_numbers(body, variable, order)
+                    body = _unpack(packed, start + 8 + 8 * math.prod(shape), order)
+                numbers, _ = _element(body, start, None, order)
+                if len(numbers) != math.prod(shape):
+                    raise ValueError(f"{name} should have {shape} numbers, has {len(numbers)}")
+                matrices[name] = numbers.reshape(shape, order="F").astype(numbers.dtype.newbyteorder("="))
     return matrices
 
 
@@ -86,21 +80,15 @@ def _unpack(packed: bytes, most: int, order: str) -> bytes:
     return unpacked[8:]
 
 
-def _read_start(body: bytes, order: str) -> _Variable:
+def _read_start(body: bytes, order: str) -> tuple[str, tuple[int, ...], bool, int]:
+    """A variable's name, shape, whether it holds real numbers (and no text, cells, ...), and their byte offset."""
     flags, place = _element(body, 0, _UINT32, order)
     shape, place = _element(body, place, _INT32, order)
     name, place = _element(body, place, _INT8, order)
     if len(flags) < 1 or (shape < 0).any():
         raise ValueError(f"a variable of shape {shape.tolist()}")
     is_real = int(flags[0]) & 0xFF in _NUMERIC and not int(flags[0]) & _IS_COMPLEX
-    return _Variable(name.tobytes().decode("ascii"), tuple(shape.tolist()), is_real, place)
-
-
-def _read_numbers(body: bytes, variable: _Variable, order: str) -> npt.NDArray[Any]:
-    numbers, _ = _element(body, variable.start, None, order)
-    if len(numbers) != math.prod(variable.shape):
-        raise ValueError(f"{variable.name} should have {variable.shape} numbers, has {len(numbers)}")
-    return numbers.reshape(variable.shape, order="F").astype(numbers.dtype.newbyteorder("="))
+    return name.tobytes().decode("ascii"), tuple(shape.tolist()), is_real, place
 
 
 def _element(body: bytes, place: int, expected: int | None, order: str) -> tuple[npt.NDArray[Any], int]:

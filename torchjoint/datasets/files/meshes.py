@@ -9,6 +9,7 @@ import re
 import struct
 import warnings
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +20,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import CloudFile, unit_colors
+from torchjoint.datasets.files.columns import CloudFile, colors_of_all, unit_colors
 from torchjoint.datasets.files.readers import RASTERS, decode_image
 from torchjoint.datasets.files.text import path_inside
 from torchjoint.runtime import bounds
@@ -68,27 +69,26 @@ def read_mesh_file(path: Path) -> CloudFile:
         if suffix == ".obj":
             check_obj(data, str(path))
         own = _rows_of_obj(data) if suffix == ".obj" else None
-        has_faces = own is None or re.search(rb"^\s*f\s", data, re.MULTILINE) is not None
-        mesh = own
-        if has_faces:
+        if own is not None and not re.search(rb"^\s*f\s", data, re.MULTILINE):
+            mesh = own
+        else:
             loaded = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False)  # type: ignore[arg-type]  # it only gets
             if parts.error is not None:
                 raise parts.error
-            if suffix == ".stl":
-                for geometry in loaded.geometry.values():
-                    geometry.merge_vertices()
             for geometry in loaded.geometry.values():
+                if suffix == ".stl":
+                    geometry.merge_vertices()
                 _color_twice(geometry)
             mesh = _joined(loaded.dump(), str(path))
             if own is not None:
-                mesh = _in_rows(mesh, own)
+                mesh = _in_rows(mesh, own)._replace(faces=_faces_of_obj(data, len(own.points)))
             if suffix == ".off":
                 mesh = mesh._replace(colors=_colors_of_off(data, len(mesh.points), str(path)))
     except MemoryError:
         raise
     except Exception as error:  # trimesh raises errors of many types for damaged files
         raise ValueError(f"{path}: not a whole {path.suffix} mesh: {error!r}"[:300]) from error
-    if mesh is None or not len(mesh.points):
+    if not len(mesh.points):
         raise ValueError(f"{path}: expected a mesh with vertices, got none")
     if mesh.faces is None and _NORMALS.search(data):
         warnings.warn(f"{path}: normals are not read of {path.suffix} files", stacklevel=4)
@@ -100,7 +100,8 @@ def read_mesh_file(path: Path) -> CloudFile:
 
 def _joined(parts: Sequence[Any], name: str) -> CloudFile:
     """The meshes and clouds of trimesh as one."""
-    points, faces, colors, bare, count = [], [], [], [], 0
+    points, faces, count = [], [], 0
+    colors: list[tuple[str, Tensor | None]] = []
     for part in parts:
         has_faces = hasattr(part, "faces")
         if not has_faces and not hasattr(part, "colors"):
@@ -114,20 +115,14 @@ def _joined(parts: Sequence[Any], name: str) -> CloudFile:
             of_part, has_colors = part.colors, part.colors is not None and len(part.colors) > 0
         points.append(np.asarray(part.vertices, np.float64).reshape(-1, 3))
         count += len(points[-1])
-        if has_colors and len(of_part) == len(points[-1]):
-            colors.append(unit_colors(np.asarray(of_part)[:, :3]))
-        elif len(points[-1]):
-            bare.append(str(part.metadata.get("name")))
-    if colors and bare:
-        warnings.warn(
-            f"{name}: {len(bare)} of {len(points)} parts have no colours, so those of the others are not read: "
-            f"{', '.join(bare[:9])}",
-            stacklevel=5,
-        )
+        if len(points[-1]):
+            is_whole = has_colors and len(of_part) == len(points[-1])
+            own = unit_colors(np.asarray(of_part)[:, :3]) if is_whole else None
+            colors.append((str(part.metadata.get("name")), own))
     triangles = np.concatenate([np.empty((0, 3), np.int64), *faces])
     return CloudFile(
         torch.from_numpy(np.concatenate([np.empty((0, 3)), *points])),
-        torch.cat(colors) if colors and not bare else None,
+        colors_of_all(colors, name, "parts"),
         faces=torch.from_numpy(triangles) if len(triangles) else None,
     )
 
@@ -159,10 +154,21 @@ def _of_material(visual: Any, count: int) -> Array:
 
 def _rows_of_obj(data: bytes) -> CloudFile:
     """The `v` lines of an .obj: x y z, and r g b of some programs."""
-    rows = [line.split()[1:7] for line in data.splitlines() if line.lstrip()[:2] in (b"v ", b"v\t")]
+    rows = [line.split()[1:7] for line in data.splitlines() if line.startswith(b"v ")]
     points = np.array([row[:3] for row in rows], np.float64).reshape(-1, 3)
     colors = np.array([row[3:] if len(row) == 6 else [np.nan] * 3 for row in rows], np.float64).reshape(-1, 3)
     return CloudFile(torch.from_numpy(points), unit_colors(colors) if any(len(row) == 6 for row in rows) else None)
+
+
+def _faces_of_obj(data: bytes, count: int) -> Tensor:
+    """The triangles of the `f` lines of an .obj of `count` vertices, [F, 3]; several vertices may be at one place."""
+    triangles = []
+    for line in data.replace(b"\\\n", b" ").splitlines():
+        if line.startswith(b"f "):
+            first, *others = (int(corner.partition(b"/")[0]) for corner in line.split()[1:])
+            triangles += [(first, *edge) for edge in pairwise(others)]
+    faces = torch.tensor(triangles, dtype=torch.int64)
+    return torch.where(faces < 0, faces + count, faces - 1)  # from 1 on, or back from the last one
 
 
 def _in_rows(mesh: CloudFile, own: CloudFile) -> CloudFile:
@@ -174,7 +180,7 @@ def _in_rows(mesh: CloudFile, own: CloudFile) -> CloudFile:
         colors = mesh.colors.new_full((len(own.points), 3), torch.nan).index_copy(0, rows, mesh.colors)
         at = cKDTree(mesh.points.numpy()).query(own.points[known].numpy())[1]  # vertices of one place, or of no face
         colors[known] = mesh.colors[torch.from_numpy(at)]
-    return own._replace(colors=colors, faces=None if mesh.faces is None else rows[mesh.faces])
+    return own._replace(colors=colors)
 
 
 def _colors_of_off(data: bytes, count: int, name: str) -> Tensor | None:
@@ -208,7 +214,7 @@ class MeshParts:
         self._pixels = 0
         self._names: set[str] = set()
 
-    def get(self, name: str) -> bytes:
+    def __getitem__(self, name: str) -> bytes:
         """The bytes of a file."""
         try:
             data = self._read(name)
@@ -225,8 +231,7 @@ class MeshParts:
             raise
         return data
 
-    def __getitem__(self, name: str) -> bytes:
-        return self.get(name)
+    get = __getitem__
 
     def check_texture(self, data: bytes, name: str) -> None:
         """Checks a texture, and the sum of all of them; errors as of :func:`decode_image`."""

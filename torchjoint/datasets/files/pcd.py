@@ -28,11 +28,8 @@ MAX_HEADER = 65536
 #: Largest number of values per point in one field; feature histograms have some hundreds.
 MAX_COUNT = 4096
 
-_TYPES = {
-    **{("F", size): f"<f{size}" for size in (4, 8)},
-    **{("I", size): f"<i{size}" for size in (1, 2, 4, 8)},
-    **{("U", size): f"<u{size}" for size in (1, 2, 4, 8)},
-}
+#: TYPE and SIZE of fields.
+_KINDS = ("F4", "F8", "I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8")
 
 
 @dataclass(frozen=True)
@@ -122,9 +119,9 @@ def _field_types(
     fields: dict[str, np.dtype[Any]] = {}
     for place, (name, size, kind, count) in enumerate(zip(names, sizes, types, counts, strict=True)):
         name = f"_{place}" if name == "_" else name
-        if (kind, size) not in _TYPES or not 0 < count <= MAX_COUNT or name in fields:
+        if f"{kind}{size}" not in _KINDS or not 0 < count <= MAX_COUNT or name in fields:
             raise ValueError(f"{path}: field {name!r} of TYPE {kind}, SIZE {size}, COUNT {count} is not known or twice")
-        fields[name] = np.dtype((_TYPES[kind, size], (count,)) if count > 1 else _TYPES[kind, size])
+        fields[name] = np.dtype((f"<{kind.lower()}{size}", (count,) if count > 1 else ()))
     floats = {plain(name) for name, dtype in fields.items() if not dtype.shape and dtype.kind == "f"}
     if not floats.issuperset(POINTS[0]):
         raise ValueError(f"{path}: expected fields x, y and z of TYPE F, got {' '.join(names)}")
@@ -132,19 +129,18 @@ def _field_types(
 
 
 def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, npt.NDArray[Any]]:
-    columns = sum(int(np.prod(dtype.shape)) for dtype in header.fields.values())
+    ends = np.cumsum([np.prod(dtype.shape, dtype=int) for dtype in header.fields.values()])
+    columns = ends[-1]
     with damage_is(f"{path}: expected lines of {columns} numbers"):
         values = np.loadtxt(io.BytesIO(body), comments=None, ndmin=2) if body.strip() else np.empty((0, columns))
     if values.shape != (header.num_points, columns):
         expected = f"{header.num_points} points of {columns} numbers"
         raise ValueError(f"{path}: truncated, or too long: expected {expected}, got {len(values)} of {values.shape[1]}")
-    fields, column = {}, 0
-    for name, dtype in header.fields.items():
-        count = int(np.prod(dtype.shape))
-        own = typed(values[:, column : column + count], dtype.base, str(path), f"field {name!r}")
-        fields[name] = own if dtype.shape else own[:, 0]
-        column += count
-    return fields
+    parts = zip(header.fields.items(), np.split(values, ends[:-1], axis=1), strict=True)
+    return {
+        name: typed(part, dtype.base, str(path), f"field {name!r}").reshape(-1, *dtype.shape)
+        for (name, dtype), part in parts
+    }
 
 
 def _read_compressed(path: Path, body: memoryview, header: PcdHeader, expected: int) -> dict[str, npt.NDArray[Any]]:
@@ -184,7 +180,7 @@ def decompress(data: bytes, size: int, name: str = "data") -> bytearray:
         name: for messages.
     """
     out, place, end = bytearray(), 0, len(data)
-    try:
+    with damage_is(f"{name}: damaged: not whole LZF data"):
         while place < end and len(out) <= size:
             control = data[place]
             place += 1
@@ -206,8 +202,6 @@ def decompress(data: bytes, size: int, name: str = "data") -> bytearray:
             else:  # the copy overlaps its own output: it repeats a pattern
                 pattern = out[start:]
                 out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
-    except IndexError:
-        raise ValueError(f"{name}: damaged: not whole LZF data") from None
     if len(out) != size or place != end:
         raise ValueError(f"{name}: damaged: expected {size} bytes of LZF data, got {len(out)}")
     return out

@@ -29,6 +29,10 @@ Array = npt.NDArray[Any]
 #: Largest size of a header, bytes; some writers list thousands of comments.
 MAX_HEADER = 1 << 20
 
+#: What a comment says of lengths that are no metres.
+_NO_METRE = re.compile(rb"^(?:comment|obj_info)\b.*?\b((?:units?|lengths?|scale|in)\b[^\w\n]{0,3}(?:of |are |is |in )*"
+                       rb"(?:[cmk]m|(?:milli|centi|kilo)met\w+|f(?:ee|oo)?t|inch\w*))\b", re.I | re.M)  # fmt: skip
+
 #: Names of the list of a face's vertices.
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 #: Names of what colours the faces, and not the vertices.
@@ -100,11 +104,12 @@ def read_ply(path: Path) -> CloudFile:
         return _assembled(elements, str(path))
 
 
-def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
-    """Reads an integer property of the vertices, [N]; None if there is no property of this name."""
-    values = _read_elements(path).get("vertex", {}).get(name)
-    if values is None:
+def read_vertex_property(path: Path, *names: str) -> npt.NDArray[np.int64] | None:
+    """Reads an integer property of the vertices, [N]: the last one, which is the newest, of these names; None: none."""
+    found = {name: one for name, one in _read_elements(path).get("vertex", {}).items() if name in names}
+    if not found:
         return None
+    name, values = found.popitem()
     if isinstance(values, Lists) or values.dtype.kind not in "iu":
         got = "lists" if isinstance(values, Lists) else values.dtype
         raise ValueError(f"{path}: property {name}: expected integers, got {got}")
@@ -112,7 +117,12 @@ def read_vertex_property(path: Path, name: str) -> npt.NDArray[np.int64] | None:
 
 
 def write_cloud(
-    path: Path, points: Tensor, colors: Tensor | None = None, labels: Tensor | None = None, faces: Tensor | None = None
+    path: Path,
+    points: Tensor,
+    colors: Tensor | None = None,
+    labels: Tensor | None = None,
+    faces: Tensor | None = None,
+    name: str = "label",
 ) -> None:
     """Writes a binary PLY atomically: equal arguments give equal bytes.
 
@@ -120,15 +130,16 @@ def write_cloud(
         path: of the file.
         points: [N, 3], as float, or double if they are float64.
         colors: [N, 3] in [0, 1], as uchar red green blue.
-        labels: [N] integers, as int label.
+        labels: [N] integers, as int `name`.
         faces: [F, 3] triangles of the points.
+        name: of the property of the labels.
     """
     kind = torch.float64 if points.dtype == torch.float64 else torch.float32
     columns = dict(zip("xyz", points.to(kind).T, strict=True))
     if colors is not None:
         columns |= zip(("red", "green", "blue"), (colors.clamp(0, 1) * 255).round().to(torch.uint8).T, strict=True)
     if labels is not None:
-        columns["label"] = labels.to(torch.int32)
+        columns[name] = labels.to(torch.int32)
     rows = np.empty(len(points), [(name, column.numpy().dtype.newbyteorder("<")) for name, column in columns.items()])
     for name, column in columns.items():
         rows[name] = column.numpy()
@@ -209,6 +220,8 @@ def _read_elements(path: Path) -> dict[str, Columns]:
     data = read_file(path, "a point cloud, .ply")
     with damage_is(str(path)):
         header = parse_header(data)
+        if unit := _NO_METRE.search(data, 0, header.size):
+            warnings.warn(f"{path}: {unit[1].decode('ascii', 'replace')}: taken as metres", stacklevel=5)
         return _ascii_elements(data, header) if header.encoding == "ascii" else _binary_elements(data, header)
 
 
@@ -402,21 +415,24 @@ class PlyRecords(NamedTuple):
 
     head: Sequence[bytes]  #: the lines of the header, with their ends
     header: Header
-    #: By element: bytes [rows, size] of a binary file, or lines [rows] of an ascii one, with their ends; an element is
-    #: missing if its rows have lists of several lengths.
+    #: By element: bytes [rows, size] of a binary file, or lines [rows] of an ascii one, with their ends; an element
+    #: whose rows have lists of several lengths is one row, by another name, or missing if it is after the vertices.
     records: Mapping[str, Array]
     rest: bytes  #: everything after the last element in `records`
+
+    def check_new(self, name: str, element: str = "vertex") -> None:
+        """Raises ValueError if an element has a property of this name."""
+        of_file = next(one for one in self.header.elements if one.name == element)
+        if any(one.name == name for one in of_file.properties):
+            raise ValueError(f"element {element} has a property {name} already; choose another name, or remove it")
 
     def with_labels(self, name: str, labels: Mapping[str, Array]) -> bytes:
         """The file with one more property of the elements in `labels`, int NAME, at the end of each row."""
         lines, bodies = list(self.head), dict(self.records)
         for element, values in labels.items():
-            of_file = next(one for one in self.header.elements if one.name == element)
-            if any(one.name == name for one in of_file.properties):
-                raise ValueError(f"element {element} has a property {name} already; choose another name")
-            start = next(i for i, line in enumerate(lines) if line.split()[:2] == [b"element", element.encode()])
-            after = (i for i in range(start + 1, len(lines)) if lines[i].split()[:1] in ([b"element"], [b"end_header"]))
-            lines.insert(next(after), f"property int {name}".encode() + _end(lines[start]))
+            self.check_new(name, element)
+            start, end = _section(lines, element)
+            lines.insert(end, f"property int {name}".encode() + _end(lines[start]))
             rows = bodies[element]
             if self.header.encoding == "ascii":
                 pairs = zip(rows, values.tolist(), strict=True)
@@ -428,16 +444,16 @@ class PlyRecords(NamedTuple):
 
     def some_vertices(self, which: npt.NDArray[np.bool_], triangles: npt.NDArray[np.int64] | None) -> bytes:
         """A file with some of the vertices, all their properties, and these triangles of the new vertices, if any."""
-        end = next(i for i, line in enumerate(self.head) if line.split()[:1] == [b"element"])
-        lines = [f"element vertex {int(which.sum())}"]
-        lines += [f"property {_WORDS[one.kind]} {one.name}" for one in self.header.elements[0].properties]
-        bodies = [_joined(self.records["vertex"][which])]
+        first = next(i for i, line in enumerate(self.head) if line.split()[:1] == [b"element"])
+        start, end = _section(self.head, "vertex")
+        lines, bodies = [f"element vertex {int(which.sum())}"], [_joined(self.records["vertex"][which])]
+        lines += [line.decode("ascii", "replace").strip() for line in self.head[start + 1 : end]]
         if triangles is not None:
             if self.header.encoding == "ascii":
                 raise ValueError("expected a binary file, for parts of a mesh, got an ascii one")
             more, body = _triangles(triangles, self.header.byte_order)
             lines, bodies = lines + more, [*bodies, body]
-        head = b"".join(self.head[:end]) + "".join(f"{line}\n" for line in [*lines, "end_header"]).encode()
+        head = b"".join(self.head[:first]) + "".join(f"{line}\n" for line in [*lines, "end_header"]).encode()
         return head + b"".join(bodies)
 
 
@@ -446,9 +462,9 @@ def read_records(path: Path) -> PlyRecords:
     with damage_is(str(path)):
         data = read_file(path, "a .ply")
         header = parse_header(data)
-        if not header.elements or header.elements[0].name != "vertex" or header.elements[0].lists:
-            raise ValueError("expected vertices without lists as first element")
         records, rest = (_records_of_lines if header.encoding == "ascii" else _records_of_bytes)(data, header)
+        if "vertex" not in records:
+            raise ValueError("expected vertices without lists of several lengths")
         return PlyRecords(_lines(data[: header.size]), header, records, rest)
 
 
@@ -461,8 +477,12 @@ def _records_of_bytes(data: bytes, header: Header) -> tuple[dict[str, Array], by
         rows = _rows_of_one_length(data, place, element, header.byte_order, dict.fromkeys(element.lists, 3))
         if rows is None and not element.lists:
             raise ValueError(f"truncated: element {element.name} has fewer than {element.rows} rows")
-        if rows is None:
+        if rows is None and "vertex" in records:
             break
+        if rows is None:
+            end = _rows_of_several_lengths(data, place, element, header.byte_order)[1]
+            records[f"#{element.name}"], place = np.frombuffer(data, np.uint8, end - place, place)[None], end
+            continue
         records[element.name] = np.frombuffer(data, np.uint8, rows.nbytes, place).reshape(-1, rows.itemsize)
         place += rows.nbytes
     return records, data[place:]
@@ -472,15 +492,22 @@ def _records_of_lines(data: bytes, header: Header) -> tuple[dict[str, Array], by
     lines, rest = _lines(data[header.size :]), b""
     while lines and not lines[-1].strip():
         rest = lines.pop() + rest
-    expected = sum(element.rows for element in header.elements)
-    if len(lines) != expected:
+    full = [element for element in header.elements if element.properties]
+    if len(lines) != (expected := sum(element.rows for element in full)):
         raise ValueError(f"expected {expected} lines after the header, one a row, got {len(lines)}")
     place, records = 0, {}
-    for element in header.elements:
+    for element in full:
         records[element.name] = np.empty(element.rows, object)
         records[element.name][:] = lines[place : place + element.rows]
         place += element.rows
     return records, rest
+
+
+def _section(head: Sequence[bytes], element: str) -> tuple[int, int]:
+    """The line of a header in which an element begins, and the one behind its properties."""
+    start = next(i for i, line in enumerate(head) if line.split()[:2] == [b"element", element.encode()])
+    after = (i for i in range(start + 1, len(head)) if head[i].split()[:1] in ([b"element"], [b"end_header"]))
+    return start, next(after)
 
 
 def _lines(text: bytes) -> list[bytes]:

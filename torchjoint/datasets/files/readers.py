@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import stat
 import struct
 import warnings
@@ -18,13 +19,16 @@ from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
 from torchjoint.datasets.files import las
+from torchjoint.datasets.files.text import parse_numbers
 from torchjoint.runtime import bounds
 from torchjoint.runtime.archives import as_int64, read_npy
-from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, is_there, present, read_file, read_text
+from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, is_there, read_file, read_text
 
 #: Formats of images that are read. The content must not choose another decoder: Pillow gives EPS to Ghostscript, which
 #: runs it; a TIFF file can name the same bytes 65,000 times.
 RASTERS = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
+#: What colours of 12 bits in 16 are below, after Pillow has dropped the lower 8 bits.
+DARK = 17
 #: Folders with one of these files hold results, of one recording or of many. They are no part of a recording.
 RESULTS = frozenset({"run.yaml", "batch.yaml"})
 #: Suffixes of clouds and recordings that stand alone: no other file belongs to them.
@@ -51,7 +55,13 @@ def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tu
                     Image.open(io.BytesIO(data), formats=("PNG",)).verify()
                 if image.format == "JPEG" and data.endswith(bytes(64)) and not data.rstrip(b"\0").endswith(b"\xff\xd9"):
                     raise ValueError("its end is lost, there are zeros in its place")
+                how = str([tile.args for tile in image.tile])
                 image.load()
+                deep = {"RGB": 3, "RGBA": 3, "LA": 1}.get(image.mode, 0) if re.search(";16B|65535", how) else 0
+                if deep and (most := int(np.asarray(image)[..., :deep].max())) < DARK:
+                    raise ValueError(
+                        f"expected colours up to 65535, got less than {256 * (most + 1)}; make them 8 bits"
+                    )
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
             Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
         # Pillow's own message names the buffer in memory.
@@ -74,8 +84,10 @@ def read_image(path: Path, camera_size: tuple[int, int] | None = None) -> Tensor
 
 
 def read_image_size(path: Path) -> tuple[int, int]:
-    """Returns (H, W) of an image, from the header of its file."""
+    """Returns (H, W) of an image, from the header of its file; it must be clear whether the image is to be turned."""
     image = read_raster(path, header_only=True)
+    if "exif" in image.info:  # of a PNG without, Pillow would decode the pixels
+        _as_calibrated(image, None, str(path))
     return image.height, image.width
 
 
@@ -95,14 +107,11 @@ def read_label_image(path: Path) -> Tensor:
 
 def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:
     """Reads a matrix from a text file; returns float64 of this shape."""
-    present(path, f"a text file with a {shape[0]}x{shape[1]} matrix")
-    try:
-        values = np.array(read_text(path, "a matrix", bounds.LINE).replace(",", " ").split(), dtype=np.float64)
-    except ValueError as error:
-        raise ValueError(f"{path}: expected numbers, got {error}") from error
-    if values.size != shape[0] * shape[1]:
-        raise ValueError(f"{path}: expected {shape[0]}x{shape[1]} = {shape[0] * shape[1]} numbers, got {values.size}")
-    return torch.from_numpy(values.reshape(shape))
+    words = read_text(path, f"a {shape[0]}x{shape[1]} matrix", bounds.LINE).replace(",", " ").split()
+    values = torch.tensor(parse_numbers(words, str(path), finite=False), dtype=torch.float64)
+    if len(values) != shape[0] * shape[1]:
+        raise ValueError(f"{path}: expected {shape[0]}x{shape[1]} = {shape[0] * shape[1]} numbers, got {len(values)}")
+    return values.reshape(shape)
 
 
 def read_array(path: Path) -> Tensor:
@@ -113,7 +122,7 @@ def read_array(path: Path) -> Tensor:
         return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", subok=False))
 
 
-def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
+def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = False) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
     That of a folder covers all files in and below it, without folders of results, and what formats read around it;
@@ -123,18 +132,19 @@ def fingerprint(path: Path, without: Iterable[Path] = ()) -> str:
     Args:
         path: of a recording.
         without: files and folders to ignore, such as the result of a run if it is inside the recording.
+        changed: whether also the times (ctime) count that no copy keeps and no program sets: for a run that goes on.
     """
     if not is_there(path):
         raise FileNotFoundError(f"{path} does not exist")
     path = path.absolute()  # a batch gives the same recording by a relative path and by the whole one
     if has_file(path) and path.suffix.lower() in ALONE:
-        status = path.stat()
-        return hashlib.sha256(repr((str(path.resolve()), status.st_size, status.st_mtime_ns)).encode()).hexdigest()
+        known = (str(path.resolve()), *_size_and_time(path, changed))
+        return hashlib.sha256(repr(known).encode()).hexdigest()
     folder = path if has_folder(path) else path.parent
     left_out = {os.path.abspath(one) for one in without}
     beside = () if has_folder(path) else folder.parent.glob(f"*/{path.stem}.*")
-    files = sorted({*_files_below(folder, left_out), *_around(folder, left_out), *beside})
-    stats = [(str(file), *_size_and_time(file)) for file in files]
+    files = sorted({*files_below(folder, left_out), *_around(folder, left_out), *beside})
+    stats = [(str(file), *_size_and_time(file, changed)) for file in files]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 
 
@@ -149,10 +159,10 @@ def _around(folder: Path, without: Set[str]) -> Iterator[Path]:
         folders += [scene / one for one in ("images", "images_2", "images_4", "images_8", "dense")]
     yield from filter(os.path.lexists, files)
     for other in filter(os.path.isdir, folders):
-        yield from _files_below(other, without)
+        yield from files_below(other, without)
 
 
-def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
+def files_below(folder: Path, without: Set[str] = frozenset()) -> Iterator[Path]:
     """Files in and below a folder without results; links are followed, but not those to a folder around it."""
     entered, count, root = set(), 0, os.path.realpath(folder)
     for place, folders, names in os.walk(folder, followlinks=True):
@@ -172,12 +182,14 @@ def _files_below(folder: Path, without: Set[str]) -> Iterator[Path]:
         yield from (Path(place, name) for name in names if os.path.abspath(os.path.join(place, name)) not in without)
 
 
-def _size_and_time(file: Path) -> tuple[int | str, int]:
+def _size_and_time(file: Path, changed: bool) -> tuple[int | str, ...]:
     """Of a file; a link that leads nowhere has its target, so that it counts as a change when it leads somewhere."""
     if os.path.islink(file) and not os.path.exists(file):
         return os.readlink(file), 0
     status = file.stat()
-    return (status.st_size, status.st_mtime_ns) if stat.S_ISREG(status.st_mode) else ("no file", 0)
+    if not stat.S_ISREG(status.st_mode):
+        return "no file", 0
+    return status.st_size, status.st_mtime_ns, *((status.st_ctime_ns,) if changed else ())
 
 
 def _as_calibrated(image: Image.Image, camera_size: tuple[int, int] | None, name: str) -> Image.Image:

@@ -78,9 +78,8 @@ class Bag:
 
     def first(self, topic: str) -> Any:
         """The first message of a topic."""
-        with self._opened() as reader:
-            for connection, _, data in reader.messages(_connections(reader, topic)):
-                return reader.deserialize(data, connection.msgtype)
+        for message in self.messages(topic):
+            return message
         raise ValueError(f"{self.path}: expected messages of topic {topic}, got none")
 
     def stamps(self, topic: str) -> list[Stamp]:
@@ -91,14 +90,13 @@ class Bag:
         """
         found: dict[float, Stamp] = {}
         frames = set()
-        before, place = -1, 0
+        places: Counter[int] = Counter()
         with self._opened() as reader:
             for _, recorded, data in reader.messages(_connections(reader, topic)):
-                place = place + 1 if recorded == before else 0
-                before = recorded
                 time, frame = _header(data, reader.is2)
                 frames.add(frame)
-                found.setdefault(time, Stamp(time, recorded, place))
+                found.setdefault(time, Stamp(time, recorded, places[recorded]))
+                places[recorded] += 1
         if len(frames) > 1:
             told = f"got {', '.join(map(repr, sorted(frames)[:5]))}; write a topic for each"
             raise ValueError(f"{self.path}: {topic}: expected messages of one frame (frame_id), {told}")
@@ -267,17 +265,18 @@ def unpack(make: Callable[[], Any], packed: bytes) -> bytes:
         packed: a chunk of a recording, or a message.
     """
     most = bounds.RATIO * len(packed) + bounds.FREE
-    parts, count, left = [], 0, packed
-    while left:
-        unpacker = make()
+    parts, count, place = [], 0, 0
+    while place < len(packed):
+        unpacker, size = make(), 1 << 10  # a few bytes first: what follows a stream is copied
         while not unpacker.eof:
-            parts.append(unpacker.decompress(left, max_length=min(STEP, most + 1 - count)))
-            count, left = count + len(parts[-1]), b""
+            piece = packed[place : place + size] if unpacker.needs_input else b""
+            if unpacker.needs_input and not piece:
+                raise ValueError("packed bytes are truncated")
+            parts.append(unpacker.decompress(piece, max_length=min(STEP, most + 1 - count)))
+            count, place, size = count + len(parts[-1]), place + len(piece), 2 * size
             if count > most:
                 raise ValueError(f"{len(packed)} packed bytes have more than {most} when they are unpacked")
-            if unpacker.needs_input and not unpacker.eof:
-                raise ValueError("packed bytes are truncated")
-        left = unpacker.unused_data or b""
+        place -= len(unpacker.unused_data or b"")
     return b"".join(parts)
 
 

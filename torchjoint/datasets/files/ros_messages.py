@@ -99,12 +99,12 @@ def has_region(message: Any) -> bool:
 
 
 def matrices_of(message: Any) -> list[list[float]]:
-    """The numbers K, P and D of a CameraInfo, whose names are capital in ROS 1."""
-    names = "kpd" if hasattr(message, "k") else "KPD"
+    """The numbers K, P, D and R of a CameraInfo, whose names are capital in ROS 1."""
+    names = "kpdr" if hasattr(message, "k") else "KPDR"
     return [np.asarray(getattr(message, name), np.float64).tolist() for name in names]
 
 
-def camera(message: Any, rectified: bool, name: str, image_size: tuple[int, int] | None = None) -> Camera:
+def camera(message: Any, rectified: bool, name: str, image_size: Sequence[int] | None = None) -> Camera:
     """The camera of a CameraInfo: K and the distortion, or P of rectified images.
 
     Args:
@@ -113,24 +113,24 @@ def camera(message: Any, rectified: bool, name: str, image_size: tuple[int, int]
         name: for messages.
         image_size: (H, W) of an image; needed if there is a region of interest: some drivers send whole images with it.
     """
-    K, P, D = map(np.array, matrices_of(message))
+    K, P, D, _ = map(np.array, matrices_of(message))
     K, P = K.reshape(3, 3), P.reshape(3, 4)
     size = (int(message.height), int(message.width)) if message.height and message.width else None
     if has_region(message):
         part = (int(message.roi.height), int(message.roi.width))
         bins = (max(int(message.binning_y), 1), max(int(message.binning_x), 1))
         if size is None or part == size or image_size != (size[0] // bins[0], size[1] // bins[1]):
-            size, K, P = part, K.copy(), P.copy()
+            size = part
             for matrix in (K, P):
                 matrix[:2, 2] -= message.roi.x_offset, message.roi.y_offset
     if rectified and P[0, 0] > 0:
-        return Camera(torch.from_numpy(P[:, :3].copy()), size, (), name)
+        return Camera(torch.from_numpy(P[:, :3]), size, (), name)
     if D.any() and message.distortion_model not in ("plumb_bob", "rational_polynomial", ""):
         raise ValueError(f"{name}: expected distortion plumb_bob or rational_polynomial, got "
                          f"{message.distortion_model!r}; record the rectified images")  # fmt: skip
     if len(D) not in (0, 4, 5, 8):
         raise ValueError(f"{name}: expected 4, 5 or 8 coefficients of distortion, got {len(D)}")
-    return Camera(torch.from_numpy(K.copy()), size, tuple(D.tolist()) if D.any() else (), name)
+    return Camera(torch.from_numpy(K), size, tuple(D.tolist()) if D.any() else (), name)
 
 
 def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
@@ -139,17 +139,16 @@ def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
     And how many points are left out because they are (0, 0, 0), as drivers write a beam without return.
     """
     fields = dict_of([(one.name, one) for one in message.fields if one.name != "_"], f"{name}: field")  # "_": padding
-    count, step = int(message.width) * int(message.height), int(message.point_step)
-    row_step = int(message.row_step) or step * int(message.width)
-    size = row_step * int(message.height)
+    height, width, step = int(message.height), int(message.width), int(message.point_step)
+    row_step = int(message.row_step) or step * width
+    size = row_step * height
     floats = {plain(field.name) for field in message.fields if field.datatype in (7, 8)}
-    if not floats.issuperset(POINTS[0]) or row_step < step * int(message.width) or len(message.data) < size:
+    if not floats.issuperset(POINTS[0]) or row_step < step * width or len(message.data) < size:
         raise ValueError(
-            f"{name}: expected fields x, y, z and {count} points of {step} bytes, got fields {', '.join(fields)} and "
-            f"{len(message.data)} bytes"
+            f"{name}: expected fields x, y, z and {height * width} points of {step} bytes, got fields "
+            f"{', '.join(fields)} and {len(message.data)} bytes"
         )
-    rows = message.data[:size].reshape(int(message.height), row_step)[:, : step * int(message.width)]
-    rows = np.ascontiguousarray(rows).reshape(count, step)
+    rows = message.data[:size].reshape(height, row_step)[:, : step * width].reshape(height * width, step)
     order = ">" if message.is_bigendian else "<"
     columns = {}
     for field in fields.values():

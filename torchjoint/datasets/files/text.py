@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from io import TextIOWrapper
@@ -32,13 +33,23 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, str]]:
                 yield f"{path}: line {number}", line.strip()
 
 
-def parse_numbers(words: Sequence[str], name: str) -> list[float]:
-    """Converts the words of a line to finite numbers."""
+def fields(lines: Iterator[tuple[str, str]], layout: str, least: int) -> Iterator[tuple[str, list[str]]]:
+    """The first `least` words of each line that is not empty, the last one with the rest of the line; and its name."""
+    for name, line in lines:
+        words = line.split(maxsplit=least - 1)
+        if words and len(words) < least:
+            raise ValueError(f"{name}: expected {layout}, got {line[:100]!r}")
+        if words:
+            yield name, words
+
+
+def parse_numbers(words: Sequence[str], name: str, *, finite: bool = True) -> list[float]:
+    """Converts words to numbers, which must be finite unless `finite` is False; `1_0` is none, though Python's 10."""
     try:
-        values = [float(word) for word in words]
+        values = [float(word.replace("_", "?")) for word in words]
     except ValueError:
-        values = [math.nan]
-    if not all(map(math.isfinite, values)):
+        values, finite = [math.nan], True
+    if finite and not all(map(math.isfinite, values)):
         raise ValueError(f"{name}: expected finite numbers, got {' '.join(words)[:100]!r}")
     return values
 
@@ -108,12 +119,9 @@ class Record:
     def integers(self, key: str) -> npt.NDArray[np.int64]:
         """Returns a list of integers, of any length, as [length] int64."""
         values = self.values.get(key)
-        try:
-            if isinstance(values, list) and all(type(value) is int for value in values):
-                return np.array(values, dtype=np.int64)
-        except OverflowError:
-            pass
-        raise ValueError(f"{self.name}: {key}: expected a list of integers of at most 64 bits")
+        if not isinstance(values, list) or not all(type(one) is int and -(1 << 63) <= one < 1 << 63 for one in values):
+            raise ValueError(f"{self.name}: {key}: expected a list of integers of at most 64 bits")
+        return np.array(values, dtype=np.int64)
 
     def matrix(self, key: str, columns: int) -> Tensor:
         """Returns rows of numbers as [rows, columns] float64."""
@@ -141,6 +149,11 @@ class Record:
         return default if value is None else value
 
 
+def numbers_of(records: Sequence[Record], key: str, count: int) -> Tensor:
+    """Returns a list of `count` numbers of each of several objects as [objects, count] float64."""
+    return torch.cat([torch.empty(0, count, dtype=torch.float64), *(one.numbers(key, count)[None] for one in records)])
+
+
 def read_record(path: Path, expected: str) -> Record:
     """Reads a JSON file that holds an object; messages use `expected` to describe it."""
     return _as_record(read_json(path, expected), str(path))
@@ -158,14 +171,10 @@ def _as_record(values: object, name: str) -> Record:
 
 
 def _number(value: object, name: str) -> float:
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if math.isfinite(number):
-            return number
-    raise ValueError(f"{name}: expected a finite number, got {_brief(value)}")
+    # NaN is not below any number, and an integer may be larger than all floats.
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= sys.float_info.max:
+        raise ValueError(f"{name}: expected a finite number, got {_brief(value)}")
+    return float(value)
 
 
 def _brief(value: object) -> str:

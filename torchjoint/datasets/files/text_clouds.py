@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from torchjoint.datasets.files.columns import NOT_READ, POINTS, CloudFile, cloud_of, plain
 from torchjoint.runtime.foreign_files import damage_is, no_twice, read_file
+from torchjoint.scene.checks import tell_half
 
 SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
 #: A unit behind the name of a column: x [m], x (m); one of places that is no metre.
@@ -151,6 +153,8 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}")
     if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
+    if rows.dtype == np.float16 and rows.size:
+        tell_half(float(np.nanmax(np.abs(rows[:, :3]), initial=0)), torch.float16, "points")
     rows = rows.astype(np.float64)
     if _is_count(rows):
         told = "the first column counts the rows, and is not read; --columns xyz... names the columns"

@@ -18,12 +18,11 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole
-from torchjoint.datasets.files.text import parse_numbers, read_record, read_rows, read_timed_rows
-from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_left_out, tell_lost
+from torchjoint.datasets.files.text import numbers_of, parse_numbers, read_record, read_rows, read_timed_rows
+from torchjoint.datasets.recording import Options, Shot, posed, read_shots, scene_of_frames, tell_lost
 from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
@@ -56,16 +55,11 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     images = sorted((_time(file), file) for file in (folder / IMAGES).glob("*.png"))
     poses = _read_poses(folder / TRAJECTORY, [time for time, _ in images])
     cameras = {file: _near(folder / CAMERAS, file.stem, ".pincam") for _, file in images}
-    lost = len({*(folder / CAMERAS).glob("*.pincam")}.difference(cameras.values()))
-    tell_lost(str(folder), lost, lost + len(images))
+    tell_lost(str(folder), (folder / CAMERAS).glob("*.pincam"), cameras.values())
     shots = [
         Shot(file, _camera(cameras[file]), invert_pose(pose), file.stem, _near(folder / DEPTHS, file.stem, ".png"))
-        for (_, file), pose in zip(images, poses, strict=True)
-        if pose is not None
+        for (_, file), pose in posed(list(zip(images, poses, strict=True)), str(folder), TRAJECTORY, TOLERANCE)
     ]
-    if not shots:
-        raise ValueError(f"{folder / IMAGES}: no image has a pose in {TRAJECTORY} within {TOLERANCE} s")
-    tell_left_out(str(folder), len(images) - len(shots), len(images), f"have no pose within {TOLERANCE} s,")
     return read_shots(shots)
 
 
@@ -103,10 +97,6 @@ def _instances(file: Path, points: Tensor) -> Tensor | None:
     if not has_file(file):
         return None
     boxes = [one.record("segments").record("obbAligned") for one in read_record(file, "boxes").records("data")]
-    if not boxes:
-        return torch.full((len(points),), -1)
-    centers, sizes = (torch.stack([box.numbers(key, 3) for box in boxes]) for key in ("centroid", "axesLengths"))
-    if not bool((sizes > 0).all()):
-        raise ValueError(f"{file}: axesLengths: expected lengths > 0")
-    axes = torch.stack([box.numbers("normalizedAxes", 9).reshape(3, 3) for box in boxes])  # one axis a row
-    return instances_in_boxes(points, centers, sizes, axes.transpose(1, 2))
+    centers, sizes = (numbers_of(boxes, key, 3) for key in ("centroid", "axesLengths"))
+    axes = numbers_of(boxes, "normalizedAxes", 9).view(-1, 3, 3)  # one axis a row
+    return instances_in_boxes(points, centers, sizes, axes.mT, [box.name for box in boxes])

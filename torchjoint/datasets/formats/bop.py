@@ -20,10 +20,11 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, checked_pose, invert_pose
-from torchjoint.datasets.files.readers import read_image_size, read_label_image
+from torchjoint.datasets.files.readers import read_image_size
 from torchjoint.datasets.files.text import Record, read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_unlisted
-from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.datasets.truth import read_labels
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene
 
@@ -53,9 +54,7 @@ def _read_shots(path: Path) -> list[Shot]:
 
 def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> Shot:
     files = [path / kind / f"{number:06d}{suffix}" for kind in ("rgb", "gray") for suffix in (".png", ".jpg", ".tif")]
-    image = next((file for file in files if has_file(file)), None)
-    if image is None:
-        raise FileNotFoundError(f"{files[0]}: missing; {camera.name} has its camera")
+    image = present(next(filter(has_file, files), files[0]), f"the image of {camera.name}")
     pose = torch.eye(4, dtype=torch.float64)
     if "cam_R_w2c" in camera:
         pose = _pose(camera, "cam_R_w2c", "cam_t_w2c")
@@ -78,6 +77,9 @@ def _truth(path: Path, shots: Sequence[Shot]) -> Sequence[Tensor]:
         return ()
     truth = read_record(path / "scene_gt.json", "the objects of the images")
     instances = _instances(shots, truth)
+    for shot, objects in zip(shots, instances, strict=True):
+        if has_file(more := path / "mask_visib" / f"{shot.name}_{len(objects):06d}.png"):
+            raise ValueError(f"{truth.name}: {shot.name}: expected an object for {more.name}, got {len(objects)}")
 
     def read(index: int) -> Tensor:
         image = shots[index].color
@@ -85,10 +87,7 @@ def _truth(path: Path, shots: Sequence[Shot]) -> Sequence[Tensor]:
         labels = torch.full(read_image_size(image), -1, dtype=torch.int64)
         for place, instance in enumerate(instances[index]):
             file = path / "mask_visib" / f"{shots[index].name}_{place:06d}.png"
-            mask = read_label_image(file) > 0
-            if mask.shape != labels.shape:
-                raise ValueError(f"{file}: expected {list(labels.shape)} pixels, got {list(mask.shape)}")
-            labels[mask] = instance
+            labels[read_labels(file, labels.shape) > 0] = instance
         return labels
 
     return LazySequence(len(shots), read)

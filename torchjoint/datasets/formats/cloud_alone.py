@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from torchjoint.datasets.files.clouds import SUFFIXES, read_cloud_file
+from torchjoint.datasets.files.clouds import SUFFIXES, read_cloud_file, up_of
 from torchjoint.datasets.recording import Options
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.scene import Scene
@@ -35,14 +35,13 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     cloud = read_cloud_file(path, invalid=options.invalid, least_opacity=options.least_opacity)
-    points = cloud.points if cloud.points.is_floating_point() else cloud.points.double()
-    if cloud.faces is not None and has_large_triangles(points, cloud.faces):
-        points, colors = points_on(points, cloud.faces, cloud.colors, str(path))
-        return Scene(points, colors=colors, name=path.stem)
-    normals = cloud.normals
-    if normals is None and cloud.faces is not None:
-        normals = agreed_normals(points, cloud.faces)
-    return Scene(points, colors=cloud.colors, normals=normals, name=path.stem)
+    points, normals, faces = cloud.points, cloud.normals, cloud.faces
+    if faces is not None and has_large_triangles(points, faces):
+        points, colors = points_on(points, faces, cloud.colors, str(path))
+        return Scene(points, colors=colors, name=path.stem, up=up_of(path))
+    if normals is None and faces is not None:
+        normals = agreed_normals(points, faces)
+    return Scene(points, colors=cloud.colors, normals=normals, name=path.stem, up=up_of(path))
 
 
 def has_large_triangles(points: Tensor, faces: Tensor) -> bool:

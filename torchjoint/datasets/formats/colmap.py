@@ -17,7 +17,7 @@ Images may be resized, but not cropped; lens distortion is removed. The scale of
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -27,10 +27,11 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, pinhole_matrix, poses_from_quaternions
 from torchjoint.datasets.files.binary import BinaryFile
-from torchjoint.datasets.files.text import frame_names, parse_integer, parse_numbers, path_inside, read_lines
+from torchjoint.datasets.files.text import fields, frame_names, parse_integer, parse_numbers, path_inside, read_lines
 from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, no_twice, present
 from torchjoint.scene import Frame, Scene
+from torchjoint.scene.checks import Invalid, kept_points
 
 WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
 
@@ -69,7 +70,7 @@ def load(path: Path, options: Options) -> Scene:
     clouds = [base / name for base in (path, *around) for name in (*names, f"dense/{number}/fused.ply")]
     if find_cloud(path, options, clouds) is not None:
         return scene_of_frames(path, frames, options, clouds)
-    points, colors = read_points(model)
+    points, colors = read_points(model, options.invalid)
     return Scene(points, frames, colors, name=path.name)
 
 
@@ -97,9 +98,8 @@ def _largest(path: Path, models: Sequence[Path]) -> Path:
 def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
     images = read_images(model)
     folder = _image_folder(bases, images[0].name, str(model))
-    files = [path_inside(folder, image.name, str(model)) for image in images]
-    for file in files:
-        present(file, f"an image of the model in {model}")
+    expected = f"an image of the model in {model}"
+    files = [present(path_inside(folder, image.name, str(model)), expected) for image in images]
     tell_unlisted(str(model), files)
     names = frame_names([image.name for image in images])
     parts = zip(files, images, names, strict=True)
@@ -125,6 +125,7 @@ class ColmapImage(NamedTuple):
 
 
 class _Row(NamedTuple):
+    id: int
     pose: list[float]  # quaternion w x y z, translation
     camera: int
     name: str
@@ -134,9 +135,18 @@ _Point = tuple[float, ...]  # id, position, colour
 T = TypeVar("T")
 
 
+_PARTS = "cameras", "images", "points3D"
+
+
 def has_model(folder: Path) -> bool:
     """Returns whether a folder holds a sparse model."""
-    return all(any(has_file(folder / f"{part}.{kind}") for kind in ("bin", "txt")) for part in ("cameras", "images"))
+    return _suffix(folder) is not None
+
+
+def _suffix(folder: Path) -> str | None:
+    """The suffix of a model's files, .bin or .txt: as in COLMAP, one for all, .bin if both are whole."""
+    found = {kind: [has_file(folder / f"{part}{kind}") for part in _PARTS] for kind in (".bin", ".txt")}
+    return next((kind for least in (3, 2) for kind, has in found.items() if all(has[:least])), None)
 
 
 def read_images(folder: Path) -> list[ColmapImage]:
@@ -147,6 +157,7 @@ def read_images(folder: Path) -> list[ColmapImage]:
         raise ValueError(f"{images_file}: expected images with poses, got none")
     rows.sort(key=lambda row: row.name)
     no_twice((row.name for row in rows), f"{images_file}: image")
+    no_twice((row.id for row in rows), f"{images_file}: image")
     for row in rows:
         if row.camera not in cameras:
             raise ValueError(f"{images_file}: image {row.name!r} is of camera {row.camera}, which {cameras_file} lacks")
@@ -155,12 +166,14 @@ def read_images(folder: Path) -> list[ColmapImage]:
     return [ColmapImage(row.name, cameras[row.camera], pose) for row, pose in zip(rows, poses, strict=True)]
 
 
-def read_points(folder: Path) -> tuple[Tensor, Tensor]:
+def read_points(folder: Path, invalid: Invalid) -> tuple[Tensor, Tensor]:
     """Returns the sparse points of a model, sorted by id: positions [N, 3] float64 and colours [N, 3] uint8."""
     file, rows = _read(folder, "points3D", _points_of_binary, _points_of_text)
     if not rows:
         raise ValueError(f"{file}: expected points, got none")
+    no_twice((row[0] for row in rows), f"{file}: point")
     values = torch.tensor([row[1:] for row in sorted(rows)], dtype=torch.float64)
+    values = values[kept_points(values[:, :3], str(file), invalid)]
     colors = values[:, 3:]
     if not ((colors >= 0) & (colors <= 255)).all():
         raise ValueError(f"{file}: expected colours of 0 to 255, got {colors.min():g} to {colors.max():g}")
@@ -168,9 +181,9 @@ def read_points(folder: Path) -> tuple[Tensor, Tensor]:
 
 
 def _read(folder: Path, part: str, of_binary: Callable[[Path], T], of_text: Callable[[Path], T]) -> tuple[Path, T]:
-    """The file of a part of the model, and its content; COLMAP, too, prefers the binary file."""
-    binary, text = folder / f"{part}.bin", folder / f"{part}.txt"
-    return (binary, of_binary(binary)) if has_file(binary) else (text, of_text(text))
+    """The file of a part of the model, and its content."""
+    file = folder / f"{part}{_suffix(folder) or '.txt'}"
+    return file, (of_binary if file.suffix == ".bin" else of_text)(file)
 
 
 def _camera(model: str, width: int, height: int, parameters: Sequence[float], name: str) -> Camera:
@@ -193,19 +206,9 @@ def _check_model(model: str, name: str) -> tuple[int, int]:
     return _PARAMETERS[model]
 
 
-def _words(lines: Iterator[tuple[str, str]], layout: str, least: int) -> Iterator[tuple[str, list[str]]]:
-    """The first `least` words, the last one with the rest of its line, of each line that is not empty; and its name."""
-    for name, line in lines:
-        words = line.split(maxsplit=least - 1)
-        if words and len(words) < least:
-            raise ValueError(f"{name}: expected {layout}, got {line[:100]!r}")
-        if words:
-            yield name, words
-
-
 def _cameras_of_text(path: Path) -> dict[int, Camera]:
     cameras = []
-    for name, words in _words(read_lines(path, "COLMAP's cameras"), "CAMERA_ID MODEL WIDTH HEIGHT PARAMS", 5):
+    for name, words in fields(read_lines(path, "COLMAP's cameras"), "CAMERA_ID MODEL WIDTH HEIGHT PARAMS", 5):
         key, width, height = (parse_integer(word, name) for word in (words[0], words[2], words[3]))
         cameras.append((key, _camera(words[1], width, height, parse_numbers(words[4].split(), name), name)))
     return dict_of(cameras, f"{path}: camera")
@@ -214,8 +217,9 @@ def _cameras_of_text(path: Path) -> dict[int, Camera]:
 def _images_of_text(path: Path) -> list[_Row]:
     rows = []
     lines = read_lines(path, "COLMAP's images")
-    for name, words in _words(lines, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", 10):
-        rows.append(_Row(parse_numbers(words[1:8], name), parse_integer(words[8], name), words[9]))
+    for name, words in fields(lines, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", 10):
+        number, camera = (parse_integer(words[place], name) for place in (0, 8))
+        rows.append(_Row(number, parse_numbers(words[1:8], name), camera, words[9]))
         of_points, points = next(lines, (name, ""))
         if len(points.split()) % 3:
             told = "expected 2D points X Y POINT3D_ID of the image above, or an empty line"
@@ -225,10 +229,8 @@ def _images_of_text(path: Path) -> list[_Row]:
 
 
 def _points_of_text(path: Path) -> list[_Point]:
-    points: list[_Point] = []
-    for name, words in _words(read_lines(path, "COLMAP's 3D points"), "POINT3D_ID X Y Z R G B ERROR TRACK", 8):
-        points.append((parse_integer(words[0], name), *parse_numbers(words[1:7], name)))
-    return points
+    lines = fields(read_lines(path, "COLMAP's 3D points"), "POINT3D_ID X Y Z R G B ERROR TRACK", 8)
+    return [(parse_integer(words[0], name), *parse_numbers(words[1:7], name)) for name, words in lines]
 
 
 def _cameras_of_binary(path: Path) -> dict[int, Camera]:
@@ -248,8 +250,8 @@ def _images_of_binary(path: Path) -> list[_Row]:
     rows = []
     with BinaryFile(path) as file:
         for _ in range(file.count(smallest=73)):
-            _, *pose, camera = file.read("I7dI")
-            rows.append(_Row(pose, camera, file.text()))
+            number, *pose, camera = file.read("I7dI")
+            rows.append(_Row(number, pose, camera, file.text()))
             file.skip(24 * file.count(smallest=24))  # the image's 2D points
         file.finish()
     return rows

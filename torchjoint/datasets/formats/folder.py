@@ -12,19 +12,25 @@ cloud.truth.npy                ground-truth instances of the points, integers [N
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from torch import Tensor
-
-from torchjoint.datasets.cameras import world_to_camera
-from torchjoint.datasets.files.readers import read_array, read_depth, read_image, read_label_image, read_matrix
-from torchjoint.datasets.recording import Frames, Options, find_cloud, scene_of_frames, sorted_images
+from torchjoint.datasets.cameras import Camera, world_to_camera
+from torchjoint.datasets.files.readers import read_array, read_matrix
+from torchjoint.datasets.recording import (
+    Frames,
+    Options,
+    Shot,
+    find_cloud,
+    read_shots,
+    scene_of_frames,
+    sorted_images,
+    tell_lost,
+    tell_not_read,
+)
 from torchjoint.datasets.truth import label_images
-from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
-from torchjoint.scene import Frame, Scene, Truth
+from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, present
+from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_labels
 
 WHAT = "camera-intrinsics.txt and frame-NNNNNN.color.jpg (or .png) with frame-NNNNNN.pose.txt"
@@ -40,7 +46,7 @@ def load(path: Path, options: Options) -> Scene:
     scene = scene_of_frames(path, frames, options)
     if not options.fuse and find_cloud(path, options) is None:
         return scene  # the truth is that of another cloud
-    return replace(scene, truth=_truth(path, frames.names, len(scene.points)))
+    return replace(scene, truth=_truth(path, len(scene.points)))
 
 
 def read_frames(path: Path) -> Frames:
@@ -48,40 +54,25 @@ def read_frames(path: Path) -> Frames:
     colors = sorted_images(path, _color_files(path))
     stems = [file.name.split(".")[0] for file in colors]
     no_twice(stems, f"{path}: the colour image of frame")
-    lost = {file.name.split(".")[0] for file in path.glob("frame-*.pose.txt")}.difference(stems)
-    if lost:
-        warnings.warn(
-            f"{path}: {len(lost)} of {len(lost) + len(stems)} poses have no colour image and are left out: {min(lost)}"
-            f"{', ...' if len(lost) > 1 else ''}",
-            stacklevel=2,
-        )
-    pose_files = [_beside(file, ".pose.txt") for file in colors]
-    for file in pose_files:
-        if not has_file(file):
-            raise FileNotFoundError(f"{file}: missing; every colour frame needs its pose")
+    tell_lost(str(path), (file.name.split(".")[0] for file in path.glob("frame-*.pose.txt")), stems)
+    pose_files = [present(_beside(file, ".pose.txt"), "the pose of a colour frame") for file in colors]
     # Reads all poses at once: a bad pose must be found before hours of work, not after.
     poses = [world_to_camera(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
-    intrinsics = read_matrix(path / "camera-intrinsics.txt", (3, 3))
-    depths = [_beside(file, ".depth.png") for file in colors]
-    return Frames(
-        len(colors), lambda i: _read_frame(colors[i], intrinsics, poses[i]), stems, lambda i: has_file(depths[i])
-    )
+    file = path / "camera-intrinsics.txt"
+    camera = Camera(read_matrix(file, (3, 3)), name=str(file))
+    if not any(has_file(_beside(file, ".labels.png")) for file in colors):
+        tell_not_read(path, "label", "an image of labels")
+    shots = [
+        Shot(color, camera, pose, stem, _beside(color, ".depth.png"), labels=_beside(color, ".labels.png"))
+        for color, pose, stem in zip(colors, poses, stems, strict=True)
+    ]
+    return read_shots(shots)
 
 
-def _read_frame(file: Path, intrinsics: Tensor, world_to_camera: Tensor) -> Frame:
-    depth, labels = _beside(file, ".depth.png"), _beside(file, ".labels.png")
-    return Frame(
-        read_image(file),
-        intrinsics,
-        world_to_camera,
-        depth=read_depth(depth) if has_file(depth) else None,
-        labels=read_label_image(labels) - 1 if has_file(labels) else None,
-        name=file.name.split(".")[0],
-    )
-
-
-def _truth(path: Path, names: Sequence[str], num_points: int) -> Truth | None:
-    of_points, images = path / "cloud.truth.npy", label_images([path / f"{name}.truth.png" for name in names], "truth")
+def _truth(path: Path, num_points: int) -> Truth | None:
+    colors = sorted_images(path, _color_files(path))
+    of_points = path / "cloud.truth.npy"
+    images = label_images([_beside(file, ".truth.png") for file in colors], "truth", colors)
     points = as_labels(read_array(of_points), (num_points,), str(of_points)) if has_file(of_points) else None
     return Truth(points, images) if images or points is not None else None
 

@@ -53,8 +53,7 @@ def load(path: Path, options: Options) -> Scene:
     camera_from_rectified = torch.eye(4, dtype=torch.float64)
     camera_from_rectified[:3, 3] = torch.linalg.solve(projection[:3, :3], projection[:3, 3])
     world_to_camera = camera_from_rectified @ rectified_from_world
-    image = root / "image_2" / f"{name}.png"
-    present(image, "the image of the scan")
+    image = present(root / "image_2" / f"{name}.png", "the image of the scan")
     frames = read_shots([Shot(image, Camera(projection[:3, :3]), world_to_camera, name)])
     labels = root / "label_2" / f"{name}.txt"
     truth = Truth(_instances(labels, points, rectified_from_world)) if has_file(labels) else None
@@ -92,18 +91,19 @@ def _nearest_rigid(pose: Tensor) -> Tensor:
 
 
 def _instances(path: Path, points: Tensor, rectified_from_world: Tensor) -> Tensor:
-    boxes = [_parse_box(line, name) for name, line in read_lines(path, "boxes") if line and line[:8] != "DontCare"]
+    lines = [(name, line) for name, line in read_lines(path, "boxes") if line and line[:8] != "DontCare"]
+    boxes = [_parse_box(line, name) for name, line in lines]
     height, width, length, x, y, z, yaw = torch.tensor(boxes, dtype=torch.float64).reshape(-1, 7).unbind(1)
     in_camera = points.double() @ rectified_from_world[:3, :3].T + rectified_from_world[:3, 3]
     centers = torch.stack([x, y - height / 2, z], dim=1)
-    return instances_in_boxes(in_camera, centers, torch.stack([length, height, width], dim=1), rotations_about(1, yaw))
+    sizes = torch.stack([length, height, width], dim=1)
+    return instances_in_boxes(in_camera, centers, sizes, rotations_about(1, yaw), [name for name, _ in lines])
 
 
 def _parse_box(line: str, name: str) -> list[float]:
     """Height, width, length, x, y, z, yaw."""
     # type truncated occluded alpha left top right bottom height width length x y z yaw; result files add a score
     words = line.split()
-    box = parse_numbers(words[8:15], name)
-    if len(words) not in (15, 16) or min(box[:3]) <= 0:
-        raise ValueError(f"{name}: expected a type and 14 numbers, of a box with an extent, got {line[:100]!r}")
-    return box
+    if len(words) not in (15, 16):
+        raise ValueError(f"{name}: expected a type and 14 numbers, got {line[:100]!r}")
+    return parse_numbers(words[8:15], name)

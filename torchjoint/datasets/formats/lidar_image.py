@@ -26,7 +26,7 @@ from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.readers import read_matrix
 from torchjoint.datasets.files.text import read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots
-from torchjoint.runtime.foreign_files import has_file, has_folder
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_pose, kept_points
 
@@ -46,20 +46,19 @@ def load(path: Path, options: Options) -> Scene:
     cloud = cloud.chosen(cloud.points.isfinite().all(1))
     cloud = repaired(cloud.chosen(kept_points(cloud.points, str(file), "keep", "drop any")), str(file))
     camera, pose = _read_camera(path / "camera_info.json"), _read_pose(path)
-    image = next((path / name for name in ("image.png", "image.jpg") if has_file(path / name)), None)
-    if image is None:
-        raise FileNotFoundError(f"{path}: expected image.png or image.jpg beside pointcloud.pcd")
+    images = path / "image.png", path / "image.jpg"
+    image = present(next(filter(has_file, images), images[0]), "image.png or image.jpg beside pointcloud.pcd")
     frames = read_shots([Shot(image, camera, pose, "image")])
     return Scene(cloud.points, frames, cloud.colors, cloud.normals, name=path.name)
 
 
 def _read_camera(path: Path) -> Camera:
     record = read_record(path, "a camera's K")
-    distortion = record.values.get("D") or []
-    count = len(distortion) if isinstance(distortion, list) else 0
+    distortion = record.values["D"] if "D" in record else []
+    count = len(distortion) if isinstance(distortion, list) else type(distortion).__name__
     if count not in (0, 4, 5, 8):
         raise ValueError(f"{path}: D: expected 4, 5 or 8 numbers as of OpenCV, got {count}")
-    lens = tuple(record.numbers("D", count).tolist()) if count else ()
+    lens = tuple(record.numbers("D", len(distortion)).tolist()) if distortion else ()
     model = record.text("distortion_model", "") or "plumb_bob"
     if model not in _LENSES:
         raise ValueError(f"{path}: distortion_model: expected one of {', '.join(_LENSES)}, got {model!r}")
@@ -72,9 +71,7 @@ def _read_pose(path: Path) -> Tensor:
     file = path / "extrinsic.txt"
     if has_file(file):
         return as_pose(read_matrix(file, (4, 4)), str(file))
-    file = path / "initial_guess.json"
-    if not has_file(file):
-        raise FileNotFoundError(f"{path}: expected extrinsic.txt or initial_guess.json beside pointcloud.pcd")
+    file = present(path / "initial_guess.json", "extrinsic.txt or initial_guess.json beside pointcloud.pcd")
     guess = read_record(file, "a guess of the pose")
     numbers = [guess.number(key) for key in ("x", "y", "z", "r_deg", "p_deg", "y_deg")]
     position, degrees = torch.tensor(numbers, dtype=torch.float64).view(2, 3)

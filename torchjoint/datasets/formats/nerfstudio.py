@@ -21,7 +21,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import torch
@@ -31,13 +30,12 @@ from torchjoint.datasets.cameras import Camera, pinhole_matrix, world_to_camera
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image_size
 from torchjoint.datasets.files.text import Record, frame_names, path_inside, read_record
 from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
-from torchjoint.runtime.foreign_files import has_file, has_folder, present
+from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, present
 from torchjoint.scene import Frame, Scene
 
 WHAT = "transforms.json, as of nerfstudio (or a file of that kind itself)"
 
-_PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL")
-_FISHEYE = "OPENCV_FISHEYE"
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
 _FOCAL = {"fl_x", "fl_y", "camera_angle_x", "camera_angle_y"}
 #: Of a `file_path` without suffix, in this order.
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".PNG")
@@ -73,9 +71,7 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     shots = sorted((_shot(file, frame) for frame in frames), key=lambda pair: pair[0])
     if not shots:
         raise ValueError(f"{file}: frames: expected at least one, got none")
-    for one, following in pairwise(shots):
-        if one[0] == following[0]:
-            raise ValueError(f"{file}: frames: two are of {one[0]}")
+    no_twice((str(color) for color, _ in shots), f"{file}: frames: image")
     tell_unlisted(str(file), [color for color, _ in shots])
     names = frame_names([str(color) for color, _ in shots])
     return read_shots([shot._replace(name=name) for (_, shot), name in zip(shots, names, strict=True)])
@@ -108,7 +104,8 @@ def _read_depth(path: Path, unit: float | None) -> Tensor:
     if unit is None:
         unit = 1.0 if values.is_floating_point() else 0.001
     depth = values.to(torch.float32) * unit
-    return torch.where(torch.isfinite(depth) & (depth > 0), depth, 0.0)
+    is_known = torch.isfinite(depth) & (depth > 0) & ((values != 65535) | values.is_floating_point())  # as in a .png
+    return torch.where(is_known, depth, 0.0)
 
 
 def read_camera(frame: Record, color: Path) -> Camera:
@@ -118,12 +115,15 @@ def read_camera(frame: Record, color: Path) -> Camera:
         named = zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=True)
         frame = Record({**frame.values, **dict(named)}, frame.name)
     model = frame.text("camera_model", "OPENCV")
-    if model not in (*_PERSPECTIVE, _FISHEYE):
+    if model not in _MODELS:
+        known = ", ".join(_MODELS)
         raise ValueError(
-            f"{frame.name}: camera_model: expected one of {', '.join((*_PERSPECTIVE, _FISHEYE))}, got {model!r}; "
-            "undistort the images first"
+            f"{frame.name}: camera_model: expected one of {known}, got {model!r}; undistort the images first"
         )
-    fisheye = model == _FISHEYE or bool(frame.values.get("is_fisheye"))
+    said = frame.values["is_fisheye"] if "is_fisheye" in frame else False
+    if said not in (True, False):
+        raise ValueError(f"{frame.name}: is_fisheye: expected true or false, got {str(said)[:60]!r}")
+    fisheye = model == "OPENCV_FISHEYE" or bool(said)
     if not fisheye and frame.number("k4", 0.0) != 0:
         raise ValueError(f"{frame.name}: k4: expected 0 for a perspective camera, got {frame.number('k4')}")
     size = _size(frame) if "w" in frame and "h" in frame else read_image_size(color)

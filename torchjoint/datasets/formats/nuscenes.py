@@ -19,12 +19,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, rotations_about
 from torchjoint.datasets.files.clouds import read_scan
-from torchjoint.datasets.files.text import Record, path_inside, read_record
+from torchjoint.datasets.files.text import Record, numbers_of, path_inside, read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots
 from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, present
@@ -55,17 +54,13 @@ def load(path: Path, options: Options) -> Scene:
 
 def _shot(path: Path, camera: Record, name: str) -> Shot:
     intrinsics = camera.matrix("cam2img", 3)
-    image = path_inside(path, camera.text("img_path"), camera.name)
-    present(image, f"the image of {camera.name}")
+    image = present(path_inside(path, camera.text("img_path"), camera.name), f"the image of {camera.name}")
     pose = as_pose(camera.matrix("lidar2cam", 4), f"{camera.name}: lidar2cam")
     return Shot(image, Camera(intrinsics, name=f"{camera.name}: cam2img"), pose, name)
 
 
 def _instances(records: list[Record], points: Tensor) -> Tensor:
-    none = torch.empty(0, 7, dtype=torch.float64)
-    boxes = torch.cat([none, *(record.numbers("bbox_3d", 7)[None] for record in records)])
+    boxes = numbers_of(records, "bbox_3d", 7)
     centers, sizes, yaw = boxes[:, :3], boxes[:, 3:6], boxes[:, 6]
-    for record, size in zip(records, sizes, strict=True):
-        if not (size > 0).all():
-            raise ValueError(f"{record.name}: bbox_3d: expected a length, width and height > 0, got {size.tolist()}")
-    return instances_in_boxes(points, centers, sizes, rotations_about(2, yaw))
+    names = [f"{record.name}: bbox_3d" for record in records]
+    return instances_in_boxes(points, centers, sizes, rotations_about(2, yaw), names)

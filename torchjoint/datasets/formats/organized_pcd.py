@@ -16,9 +16,11 @@ without depth are void. The background is void, too: mOSD has removed it from th
 from __future__ import annotations
 
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -37,13 +39,11 @@ LARGEST_OFFSET = 0.5
 
 
 def recognizes(path: Path) -> bool:
-    if path.suffix.lower() != ".pcd" or not has_file(path):
-        return False
-    try:
-        header = read_pcd_header(path)
-    except (ValueError, OSError):
-        return False
-    return header.height > 1 and not {"rgb", "rgba"}.isdisjoint(header.fields)
+    if path.suffix.lower() == ".pcd" and has_file(path):
+        with suppress(ValueError, OSError):
+            header = read_pcd_header(path)
+            return header.height > 1 and not {"rgb", "rgba"}.isdisjoint(header.fields)
+    return False
 
 
 def scenes(path: Path) -> dict[str, Path]:
@@ -85,9 +85,7 @@ def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor
                 raise ValueError(told)
             warnings.warn(f"{told}: read as a cloud alone, without an image", stacklevel=3)
             return None
-        away = slope - slope.mean()
-        focal = (away * (pixel - pixel.mean())).sum() / (away * away).sum()
-        center = pixel.mean() - focal * slope.mean()
+        focal, center = np.polyfit(slope.numpy(), pixel.numpy(), 1)
         offset = float((focal * slope + center - pixel).abs().max())
         if not (offset <= LARGEST_OFFSET and focal > 0):
             warnings.warn(

@@ -12,8 +12,8 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from torchjoint.datasets.formats.scannet import CLOUD, SceneCameras, frames_of, read_calibration
-from torchjoint.datasets.recording import Options, scene_of_frames, sorted_images
+from torchjoint.datasets.formats.scannet import CLOUD, frames_of, read_cameras
+from torchjoint.datasets.recording import Options, find_cloud, scene_of_frames, sorted_images
 from torchjoint.datasets.truth import vertex_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
@@ -28,7 +28,7 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     scan, beside = path.name, path.absolute().parent.parent / "scans" / path.name
-    folder = path if has_file(path / f"{scan}{CLOUD}") else beside
+    folder = path if find_cloud(path, options, [path / f"{scan}{CLOUD}"]) else beside
     cloud = folder / f"{scan}{CLOUD}"
     instances = partial(vertex_instances, folder, scan)
     return scene_of_frames(path, _read_frames(path), options, [cloud], instances=instances)
@@ -36,10 +36,10 @@ def load(path: Path, options: Options) -> Scene:
 
 def _read_frames(path: Path) -> LazySequence[Frame]:
     images = _images(path)
-    color = read_calibration(path / "intrinsic.txt")
-    of_depth = path / "depth_intrinsic.txt"
-    cameras = SceneCameras(color, read_calibration(of_depth) if has_file(of_depth) else color)
-    return frames_of(path, images, cameras, (path, path))
+    cameras = read_cameras(path / "intrinsic.txt", path / "depth_intrinsic.txt")
+    frames = frames_of(path, images, cameras, (path, path))
+    frames.like_depth = r"\d"
+    return frames
 
 
 def _images(path: Path) -> list[Path]:

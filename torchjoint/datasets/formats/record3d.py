@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +29,11 @@ from torchjoint.datasets.cameras import FLIP_YZ, Camera, invert_pose, pinhole_ma
 from torchjoint.datasets.files.binary import Members
 from torchjoint.datasets.files.readers import decode_image, rgb_of
 from torchjoint.datasets.files.text import Record, parse_record
-from torchjoint.datasets.recording import Frames, Options, scene_of_frames, tell_lost
+from torchjoint.datasets.recording import Frames, Options, Shot, read_shots, scene_of_frames, tell_lost
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import has_file, has_folder, present
+from torchjoint.runtime.foreign_files import damage_is, has_file, has_folder, present
 from torchjoint.runtime.messages import needed_for
-from torchjoint.scene import Frame, Scene
+from torchjoint.scene import Scene
 
 WHAT = "an .r3d file, metadata with rgbd/, or EXR_RGBD/ with metadata.json, rgb/ and depth/ (Record3D)"
 EXPORT = "EXR_RGBD"
@@ -70,28 +71,24 @@ def _read_frames(files: Members) -> Frames:
     if not images or images[-1][0] >= len(poses):
         last = images[-1][1] if images else "none"
         raise ValueError(f"{values.name}: poses: expected one for each image, got {len(poses)}; last image: {last}")
-    tell_lost(str(files.path), len(poses) - len(images), len(poses))
+    tell_lost(str(files.path), range(len(poses)), [number for number, _ in images])
     cameras = _read_cameras(values, len(poses))
 
-    def read(index: int) -> Frame:
-        number, file = images[index]
-        name = f"{files.path}: {file}"
-        image = rgb_of(decode_image(files.read(file, bounds.IMAGE_BYTES), name), name)
-        depth = _read_depth(files, number, values)
-        return cameras[number].frame(image, poses[number], depth, str(number))
-
-    names = [str(number) for number, _ in images]
-    return Frames(len(images), read, names, lambda index: _has_depth(files, images[index][0]))
+    shots = []
+    for number, file in images:
+        has_depth = not {f"depth/{number}.exr", f"rgbd/{number}.depth"}.isdisjoint(files.names)
+        depth = partial(_read_depth, files, number, values) if has_depth else None
+        shots.append(Shot(partial(_read_image, files, file), cameras[number], poses[number], str(number), depth))
+    return read_shots(shots)
 
 
-def _has_depth(files: Members, number: int) -> bool:
-    return not {f"depth/{number}.exr", f"rgbd/{number}.depth"}.isdisjoint(files.names)
+def _read_image(files: Members, file: str) -> Tensor:
+    name = f"{files.path}: {file}"
+    return rgb_of(decode_image(files.read(file, bounds.IMAGE_BYTES), name), name)
 
 
-def _read_depth(files: Members, number: int, values: Record) -> Tensor | None:
+def _read_depth(files: Members, number: int, values: Record) -> Tensor:
     exr, packed, confidence = f"depth/{number}.exr", f"rgbd/{number}.depth", f"rgbd/{number}.conf"
-    if not _has_depth(files, number):
-        return None
     depth = read_exr(files.path / exr, "R") if exr in files.names else _unpack(files, packed, values, "<f4")
     known = torch.isfinite(depth) & (depth > 0)
     if confidence in files.names:
@@ -136,10 +133,8 @@ def decompress_lzfse(data: bytes, size: int, name: str = "data") -> bytes:
     blocks = sum(data.count(magic) for magic in _BLOCKS)
     if len(data) < 12 or len(data) > 2 * size + 64 or declared > size or blocks > 4 + size // _BLOCK_BYTES:
         raise ValueError(f"{name}: damaged: expected {size} bytes of LZFSE data, got {len(data)} packed bytes")
-    try:
+    with damage_is(f"{name}: damaged: not whole LZFSE data", lzfse.error, MemoryError):
         out: bytes = lzfse.decompress(data)
-    except (lzfse.error, MemoryError):
-        raise ValueError(f"{name}: damaged: not whole LZFSE data") from None
     if len(out) != size:
         raise ValueError(f"{name}: damaged: expected {size} bytes of LZFSE data, got {len(out)}")
     return out
@@ -154,7 +149,7 @@ def read_exr(path: Path, channel: str) -> Tensor:
     present(path, "an image, .exr")
     with needed_for("reading .exr", "OpenEXR", "torchjoint[record3d]"):
         import OpenEXR
-    try:
+    with damage_is(f"{path}: not a whole EXR image", Exception):  # the library raises several types of its own
         with OpenEXR.File(str(path), header_only=True) as file:
             sizes = [_size(part.header) for part in file.parts]
         height, width, _ = sizes[0]
@@ -164,8 +159,6 @@ def read_exr(path: Path, channel: str) -> Tensor:
             if channel not in channels:
                 raise ValueError(f"expected a channel {channel}, got {', '.join(channels) or 'none'}")
             pixels = np.array(channels[channel].pixels, dtype=np.float32)
-    except Exception as error:  # the library raises several types of its own
-        raise ValueError(f"{path}: not a whole EXR image: {error}") from error
     if pixels.shape != (height, width):
         raise ValueError(f"{path}: expected {width} x {height} pixels, got an array {list(pixels.shape)}")
     return torch.from_numpy(pixels)

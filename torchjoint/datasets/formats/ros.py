@@ -44,7 +44,7 @@ from torchjoint.datasets.files.ros_messages import (
     matrices_of,
 )
 from torchjoint.datasets.formats.tum import associate
-from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_left_out
+from torchjoint.datasets.recording import Options, Shot, find_cloud, posed, read_shots, scene_of_frames, tell_left_out
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.scene import voxel_subsample
@@ -55,6 +55,9 @@ INFO, POINTS = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"
 ROLES = ("color", "info", "depth", "points", "odometry")
 #: In place of a topic of odometry.
 STILL = "none"
+
+#: The sine of the angle below which the rectifying rotation of a camera does not matter.
+MOST_TURNED = 1e-3
 
 #: Points that are collected before they are thinned.
 COLLECTED = 1_000_000
@@ -102,17 +105,16 @@ def _find_topics(bag: Bag, poses: Poses, chosen: Mapping[str, str]) -> _Topics:
     if color is None:
         raise ValueError(f"{bag.path}: expected colour images, got topics {', '.join(bag.kinds) or 'none'}")
     frame = _frame(heads[color] if color in heads else bag.first(color))
-    info = _only("info", _of_frame(bag, bag.topics(INFO), frame), chosen, bag)
+    infos = bag.topics(INFO)
+    of_frame = [topic for topic in infos if _frame(bag.first(topic)) == frame]
+    info = _only("info", of_frame or infos, chosen, bag)
     if info is None:
         raise ValueError(f"{bag.path}: expected a topic of CameraInfo for {color}, got {', '.join(bag.kinds)}")
     depths = [topic for topic, head in heads.items() if is_depth(head) and _frame(head) == frame]
     depth = _only("depth", depths, chosen, bag)
-    points = None if depth is not None else _only("points", bag.topics(POINTS), chosen, bag)
-    points = chosen.get("points", points)
-    odometry = chosen.get("odometry")
-    if odometry is None and not poses.moves(frame):
-        found = [topics for kind in ODOMETRY if (topics := bag.topics(kind))]
-        odometry = _only("odometry", found[0], chosen, bag) if found else None
+    points = _only("points", bag.topics(POINTS) if depth is None else (), chosen, bag)
+    best = () if poses.moves(frame) else next(filter(None, map(bag.topics, ODOMETRY)), ())
+    odometry = _only("odometry", best, chosen, bag)
     return _Topics(color, info, None if "points" in chosen else depth, points, odometry)
 
 
@@ -149,19 +151,8 @@ def _only(role: str, found: Sequence[str], chosen: Mapping[str, str], bag: Bag) 
     return found[0] if found else None
 
 
-def _of_frame(bag: Bag, topics: Sequence[str], frame: str) -> list[str]:
-    """The topics whose first message has this frame; if no topic has it, all topics."""
-    same = [topic for topic in topics if _frame(bag.first(topic)) == frame]
-    return same or list(topics)
-
-
 def _frame(message: Any) -> str:
     return str(message.header.frame_id).lstrip("/")
-
-
-def _is_same_camera(one: Any, other: Any) -> bool:
-    pairs = zip(matrices_of(one), matrices_of(other), strict=True)
-    return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
 
 def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[Frame]:
@@ -171,23 +162,19 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
     depths = [] if topics.depth is None else bag.stamps(topics.depth)
     depth_of = dict(associate([one.time for one in colors], [one.time for one in depths], limit))
     at = poses.world_from(_frame(bag.first(topics.color)), [one.time for one in colors])
-    posed = [(index, pose) for index, pose in enumerate(at) if pose is not None]
-    if not posed:
-        raise ValueError(f"{bag.path}: none of {len(colors)} images has a pose within {limit} s (tf or odometry)")
-    tell_left_out(str(bag.path), len(colors) - len(posed), len(colors), f"have no pose within {limit} s,")
+    kept = posed(list(enumerate(at)), str(bag.path), "tf or odometry", limit)
     rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
-    info, size = bag.first(topics.info), []
-    changed = [not _is_same_camera(one, info) for one in bag.messages(topics.info)]
+    info = bag.first(topics.info)
+    changed = [repr(matrices_of(one)) != repr(matrices_of(info)) for one in bag.messages(topics.info)]
     if any(changed):
         told = f"{sum(changed)} of {len(changed)} messages have another camera than the first, taken for all images"
         warnings.warn(f"{bag.path}: {topics.info}: {told}", stacklevel=3)
-    if has_region(info):
-        _, *size = color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape
-    if rectified:
-        _tell_shift(bag, topics, info)
-    lens = camera(info, rectified, f"{bag.path}: {topics.info}", (size[0], size[1]) if size else None)
+    _tell_pair(bag, topics, info, rectified)
+    has_part = has_region(info)
+    size = color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape[1:] if has_part else None
+    lens = camera(info, rectified, f"{bag.path}: {topics.info}", size)
     shots = []
-    for index, pose in posed:
+    for index, pose in kept:
         name, depth = f"{colors[index].time:.6f}", None
         if topics.depth is not None and index in depth_of:
             depth = partial(_read, depth_image, bag, topics.depth, depths[depth_of[index]], name)
@@ -196,14 +183,16 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
     return read_shots(shots)
 
 
-def _tell_shift(bag: Bag, topics: _Topics, info: Any) -> None:
-    """P of the right camera of a stereo pair has a shift; only if it has the left one's frame, the pose may lack it."""
-    frame, P = _frame(bag.first(topics.color)), matrices_of(info)[1]
+def _tell_pair(bag: Bag, topics: _Topics, info: Any, rectified: bool) -> None:
+    """P of the right camera of a stereo pair has a shift, and R of both turns them: poses may be without these."""
+    frame, (_, P, _, R) = _frame(bag.first(topics.color)), matrices_of(info)
     if (P[3] or P[7]) and sum(_frame(bag.first(topic)) == frame for topic in bag.topics(INFO)) > 1:
-        told = (
-            f"another camera has the frame {frame!r}, too; P of {topics.info} has a shift, as of a stereo pair's right"
-        )
-        warnings.warn(f"{bag.path}: {told} camera, which is not applied; check the poses", stacklevel=4)
+        told = f"another camera has the frame {frame!r}, too; P of {topics.info} has a shift, as of a stereo pair's"
+        warnings.warn(f"{bag.path}: {told} right camera, which is not applied; check the poses", stacklevel=4)
+    if any(R) and np.abs(np.reshape(R, (3, 3)) - np.eye(3)).max() > MOST_TURNED:
+        told = f"R of {topics.info} turns the camera, as of a stereo pair, and is not applied; check that the poses"
+        told += f" of frame {frame!r} are those of the {'' if rectified else 'un'}rectified camera"
+        warnings.warn(f"{bag.path}: {told}", stacklevel=4)
 
 
 def _read(convert: Callable[[Any, str], Tensor], bag: Bag, topic: str, stamp: Stamp, name: str) -> Tensor:

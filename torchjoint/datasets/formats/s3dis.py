@@ -24,6 +24,7 @@ from torchjoint.scene import Scene, Truth
 
 #: Five files, as they are downloaded, have one flipped bit: bytes 0, 16 and 22 in place of a space, 0 and 6.
 _REPAIRED = bytes(byte | 0x20 if byte in (0x00, 0x10, 0x16) else byte for byte in range(256))
+_TEXT = "*.[tT][xX][tT]"
 WHAT = "Annotations/ with CLASS_N.txt, such as chair_1.txt (a room of S3DIS)"
 
 
@@ -33,7 +34,7 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     things = _things(path)
-    if left := sorted(file.name for file in (path / "Annotations").glob("*.txt") if file not in things):
+    if left := sorted(file.name for file in (path / "Annotations").glob(_TEXT) if file not in things):
         warnings.warn(f"{path}: {len(left)} files in Annotations are no CLASS_N.txt; not read: {left[0]}", stacklevel=3)
     parts = [_read_points(file) for file in things]
     rows = torch.from_numpy(np.concatenate(parts))
@@ -53,7 +54,7 @@ def scenes(path: Path) -> dict[str, Path]:
 
 
 def _things(path: Path) -> list[Path]:
-    files = (path / "Annotations").glob("*.txt")
+    files = (path / "Annotations").glob(_TEXT)
     return sorted(file for file in files if re.fullmatch(r"[A-Za-z]+_[0-9]+", file.stem))
 
 

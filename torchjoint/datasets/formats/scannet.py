@@ -30,9 +30,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.cameras import register_depth, stretch_intrinsics, world_to_camera
+from torchjoint.datasets.cameras import pinhole_matrix, register_depth, stretch_intrinsics, world_to_camera
 from torchjoint.datasets.files.binary import BinaryFile
-from torchjoint.datasets.files.readers import decode_image, read_depth, read_image, read_matrix, rgb_of
+from torchjoint.datasets.files.readers import decode_image, read_depth, read_image, read_image_size, read_matrix, rgb_of
+from torchjoint.datasets.files.text import Record, parse_numbers
 from torchjoint.datasets.recording import (
     Frames,
     Options,
@@ -68,9 +69,12 @@ _RAW, _ZLIB = 0, 1
 _HEADER = "64f2i4If"
 #: Pose, times of colour and depth, bytes of colour and depth.
 _FRAME, _FRAME_BYTES = "16f4Q", 96
-#: Images of 640 x 480 pixels are those of 1296 x 968, stretched by .4 %; what is stretched more is cropped.
-STRETCH = 0.02
+#: Images of 640 x 480 pixels are those of 1296 x 968, stretched by .4 %; and those of 328 x 256, as 3D-SIS has them, by
+#: 4.3 %; what is stretched more is cropped.
+STRETCH = 0.05
 Size = tuple[int, int]
+#: An image in a .sens file: its first byte, and how many it has.
+_Place = tuple[int, int]
 
 #: (H, W) of the sensor's images in nearly all scans.
 COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
@@ -110,6 +114,8 @@ def _read_frames(folder: Path, scan: str) -> Frames:
         names = [str(i) for i in range(len(stream))]
         return _frames(stream.path, names, poses, cameras, lambda i: (stream.color(i), stream.depth(i)), lambda _: True)
     if not has_frames(folder):
+        if has_folder(folder / "color"):
+            raise FileNotFoundError(f"{folder / 'pose'}: missing; expected the poses of the images in color/")
         return read_shots(())
     found = find_cameras(folder, folder / f"{scan}.txt")
     if found is None:
@@ -140,13 +146,18 @@ def read_frames(folder: Path, cameras: SceneCameras) -> Frames:
 def frames_of(folder: Path, images: Sequence[Path], cameras: SceneCameras, beside: tuple[Path, Path]) -> Frames:
     """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
     names = [file.stem for file in images]
-    lost = {file.stem for file in beside[0].glob("*.txt") if file.stem.isdigit()}.difference(names)
-    tell_lost(str(folder), len(lost), len(lost) + len(names))
+    tell_lost(str(folder), (file.stem for file in beside[0].glob("*.txt") if file.stem.isdigit()), names)
     files, depths = [beside[0] / f"{name}.txt" for name in names], [beside[1] / f"{name}.png" for name in names]
 
+    firsts = [file for file in (next(filter(has_file, one), None) for one in (images, depths)) if file is not None]
+    sizes = [read_image_size(file) for file in firsts]
+
     def read(index: int) -> tuple[Tensor, Tensor | None]:
-        depth = depths[index]
-        return read_image(images[index]), read_depth(depth) if has_file(depth) else None
+        image, depth = read_image(images[index]), read_depth(depths[index]) if has_file(depths[index]) else None
+        for file, one, first, size in zip((images[index], depths[index]), (image, depth), firsts, sizes, strict=False):
+            if one is not None and (came := tuple(one.shape[-2:])) != size:
+                raise ValueError(f"{file}: expected {list(size)} pixels, as {first.name} has, got {list(came)}")
+        return image, depth
 
     poses = [(str(file), read_matrix(file, (4, 4))) for file in files]
     return _frames(folder, names, poses, cameras, read, lambda index: has_file(depths[index]))
@@ -167,21 +178,17 @@ def _frames(
 
     def frame(place: int) -> Frame:
         i = kept[place]
-        return make_frame(names[i], *read(i), cameras, extrinsics[i])
+        (image, depth), what = read(i), f"{source}, image of frame {names[i]}"
+        size = (image.shape[1], image.shape[2])
+        intrinsics = cameras.color.scaled_to(size, what)
+        if depth is not None:
+            # One calibration for both applies to the size that was chosen for the colour image.
+            of_depth = Calibration(intrinsics, (size,)) if cameras.depth is cameras.color else cameras.depth
+            depth_intrinsics = of_depth.scaled_to((depth.shape[0], depth.shape[1]), f"{what}, its depth")
+            depth = register_depth(depth, depth_intrinsics, intrinsics, size)
+        return Frame(image, intrinsics, extrinsics[i], depth=depth, name=names[i])
 
     return Frames(len(kept), frame, [names[i] for i in kept], lambda place: has_depth(kept[place]))
-
-
-def make_frame(name: str, image: Tensor, depth: Tensor | None, cameras: SceneCameras, world_to_camera: Tensor) -> Frame:
-    """Makes a frame from a colour image [3, H, W] and a depth image [h, w], metres, of two cameras at one place."""
-    size = (image.shape[1], image.shape[2])
-    intrinsics = cameras.color.scaled_to(size)
-    if depth is not None:
-        # One calibration for both applies to the size that was chosen for the colour image.
-        of_depth = Calibration(intrinsics, (size,)) if cameras.depth is cameras.color else cameras.depth
-        depth_intrinsics = of_depth.scaled_to((depth.shape[0], depth.shape[1]))
-        depth = register_depth(depth, depth_intrinsics, intrinsics, size)
-    return Frame(image, intrinsics, world_to_camera, depth=depth, name=name)
 
 
 @dataclass(frozen=True)
@@ -196,10 +203,17 @@ class Calibration:
     sizes: tuple[Size, ...]
     is_certain: bool = True
 
-    def scaled_to(self, size: Size) -> Tensor:
-        """Returns the intrinsics [3, 3] float64 of images that were resized to (H, W), each axis independently."""
+    def scaled_to(self, size: Size, name: str = "image") -> Tensor:
+        """Returns the intrinsics [3, 3] float64 of images that were resized to (H, W), each axis independently.
+
+        ValueError, which begins with `name`, if they were cropped.
+        """
         known = self.sizes if self.is_certain else (size, *self.sizes)
         old = min(known, key=self._off_center)
+        (h, w), (height, width) = old, size
+        if abs(height * w - width * h) > max(STRETCH * width * h, w, h):
+            got = f"{width} x {height}: is it cropped?"
+            raise ValueError(f"{name}: expected the aspect ratio of its camera, {w} x {h} pixels, got {got}")
         return stretch_intrinsics(self.intrinsics, old, size)
 
     def _off_center(self, size: Size) -> float:
@@ -226,13 +240,17 @@ def find_cameras(folder: Path, info: Path) -> SceneCameras | None:
     """
     color = folder / "intrinsic" / "intrinsic_color.txt"
     if has_file(color):
-        depth = color.with_name("intrinsic_depth.txt")
-        of_color = read_calibration(color)
-        return SceneCameras(of_color, read_calibration(depth) if has_file(depth) else of_color)
+        return read_cameras(color, color.with_name("intrinsic_depth.txt"))
     return _read_info(info) if has_file(info) else None
 
 
-def read_calibration(file: Path) -> Calibration:
+def read_cameras(color: Path, depth: Path) -> SceneCameras:
+    """Reads the calibrations of colour and of depth; if the latter is not there, that of colour holds for both."""
+    of_color = _read_calibration(color)
+    return SceneCameras(of_color, _read_calibration(depth) if has_file(depth) else of_color)
+
+
+def _read_calibration(file: Path) -> Calibration:
     """Reads a file of 4x4 or 3x3 numbers."""
     side = 3 if len(read_text(file, "a description", errors="replace").replace(",", " ").split()) == 9 else 4
     matrix = as_intrinsics(read_matrix(file, (side, side))[:3, :3], str(file))
@@ -245,33 +263,18 @@ def _read_info(path: Path) -> SceneCameras | None:
     Depth images are warped to the colour camera's view, so the scaled colour calibration holds for depth, too.
     The file's fx_depth does not: it describes the sensor before warping (https://github.com/ScanNet/ScanNet/issues/92).
     """
-    try:
-        lines = [line.partition("=") for line in read_text(path, "a description of a scan").splitlines()]
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: expected lines of text, got {error}") from error
-    values = dict_of([(name.strip(), value.strip()) for name, _, value in lines if value], f"{path}: line")
+    lines = [line.partition("=") for line in read_text(path, "a description of a scan").splitlines()]
+    pairs = [(name.strip(), value.strip()) for name, _, value in lines if value]
+    values = Record(dict_of(pairs, f"{path}: line"), str(path))
     if "fx_color" not in values:
         return None
     names = ("fx_color", "fy_color", "mx_color", "my_color", "colorHeight", "colorWidth")
-    try:
-        fx, fy, cx, cy, height, width = (float(values[name]) for name in names)
-    except KeyError as error:
-        raise ValueError(f"{path}: expected a line {error.args[0]} = ..., as there is one of fx_color") from None
-    except ValueError as error:
-        raise ValueError(f"{path}: expected numbers, got {error}") from error
+    fx, fy, cx, cy, height, width = parse_numbers([values.text(name) for name in names], str(path))
     if not (1 <= height <= 2**16 and 1 <= width <= 2**16):
         raise ValueError(f"{path}: expected an image size in pixels, got colorWidth {width:g}, colorHeight {height:g}")
-    matrix = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
-    both = Calibration(as_intrinsics(matrix, f"{path}, colour"), ((int(height), int(width)),))
+    matrix = as_intrinsics(pinhole_matrix(fx, fy, cx, cy), f"{path}, colour")
+    both = Calibration(matrix, ((int(height), int(width)),))
     return SceneCameras(both, both)
-
-
-class _Blobs(NamedTuple):
-    """Byte offset and sizes of a frame's images in the file."""
-
-    start: int
-    color_bytes: int
-    depth_bytes: int
 
 
 class SensFile:
@@ -289,28 +292,21 @@ class SensFile:
         self.path = path
         with BinaryFile(path) as file:
             self._read_header(file)
-            self._blobs, poses = _index(file)
+            self._images, poses = _index(file)
         self.poses = torch.from_numpy(np.array(poses, dtype=np.float64).reshape(-1, 4, 4))
 
     def __len__(self) -> int:
-        return len(self._blobs)
+        return len(self._images)
 
     def color(self, index: int) -> Tensor:
-        """Decodes a frame's colours, [3, H, W] uint8 RGB, at the image's own size. ValueError if damaged or cropped."""
-        blobs = self._blobs[index]
+        """Decodes a frame's colours, [3, H, W] uint8 RGB, at the image's own size. ValueError if damaged."""
         name = f"{self.path}, colour of frame {index}"
-        image = rgb_of(decode_image(self._read(blobs.start, blobs.color_bytes, name), name), name)
-        (_, height, width), (h, w) = image.shape, self.color_size
-        if abs(height * w - width * h) > max(STRETCH * width * h, w, h):
-            got = f"{width} x {height}: is it cropped?"
-            raise ValueError(f"{name}: expected the aspect ratio of the header, {w} x {h} pixels, got {got}")
-        return image
+        return rgb_of(decode_image(self._read(self._images[index][0], name), name), name)
 
     def depth(self, index: int) -> Tensor:
         """Decodes a frame's depth, [h, w] float32 metres, 0 = unknown, of `depth_size`. ValueError if damaged."""
-        blobs = self._blobs[index]
         name = f"{self.path}, depth of frame {index}"
-        data = self._read(blobs.start + blobs.color_bytes, blobs.depth_bytes, name)
+        data = self._read(self._images[index][1], name)
         expected = 2 * math.prod(self.depth_size)
         if self._depth_codec == _ZLIB:
             data = _inflate(data, expected, name)
@@ -342,24 +338,24 @@ class SensFile:
         if not (math.isfinite(shift) and shift > 0):
             raise ValueError(f"{self.path}: expected a positive number of depth units per metre, got {shift}")
 
-    def _read(self, start: int, count: int, name: str) -> bytes:
+    def _read(self, place: _Place, name: str) -> bytes:
         with open_file(self.path) as stream:
-            stream.seek(start)
-            data = stream.read(count)
-        if len(data) != count:
+            stream.seek(place[0])
+            data = stream.read(place[1])
+        if len(data) != place[1]:
             raise ValueError(f"{name}: the file has become shorter since it was opened")
         return data
 
 
-def _index(file: BinaryFile) -> tuple[list[_Blobs], list[tuple[float, ...]]]:
-    """Positions of the frames' images in the file, and the poses of the frames."""
-    blobs, poses = [], []
+def _index(file: BinaryFile) -> tuple[list[tuple[_Place, _Place]], list[list[float]]]:
+    """Where the colours and the depth of each frame are, and the poses of the frames."""
+    images, poses = [], []
     for _ in range(file.count(_FRAME_BYTES)):
         *pose, _, _, color_bytes, depth_bytes = file.read(_FRAME)
-        blobs.append(_Blobs(file.place, color_bytes, depth_bytes))
-        poses.append(tuple(pose))
+        images.append(((file.place, color_bytes), (file.place + color_bytes, depth_bytes)))
+        poses.append(pose)
         file.skip(color_bytes + depth_bytes)
-    return blobs, poses
+    return images, poses
 
 
 def _inflate(data: bytes, expected: int, name: str) -> bytes:

@@ -24,15 +24,9 @@ from pathlib import Path
 
 from torchjoint.datasets.cameras import Camera, world_to_camera
 from torchjoint.datasets.files.text import read_record
-from torchjoint.datasets.formats.colmap import ColmapImage, has_model, read_images
+from torchjoint.datasets.formats.colmap import ColmapImage, read_images
 from torchjoint.datasets.formats.nerfstudio import read_camera
-from torchjoint.datasets.recording import (
-    Options,
-    Shot,
-    read_shots,
-    scene_of_frames,
-    tell_unlisted,
-)
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_lost, tell_unlisted
 from torchjoint.datasets.truth import point_instances
 from torchjoint.runtime.foreign_files import has_file, has_folder, or_unreadable
 from torchjoint.runtime.threads import LazySequence
@@ -82,31 +76,31 @@ def _places(path: Path) -> tuple[Path, str]:
 
 
 def _images(folder: Path) -> Path | None:
-    has_poses = has_model(folder / "colmap") or has_file(folder / POSES)
-    return next((folder / name for name in IMAGES if has_poses and has_folder(folder / name)), None)
+    return next((folder / name for name in IMAGES if has_folder(folder / name)), None)
 
 
 def _read_frames(folder: Path) -> LazySequence[Frame]:
     images = _images(folder)
     if images is None:
         return read_shots(())
-    shots = read_images(folder / "colmap") if has_model(folder / "colmap") else _read_shots(folder / POSES)
+    model = folder / "colmap"
+    posed = read_images(model) if folder.name == CAMERAS[0] or has_folder(model) else _read_shots(folder / POSES)
     # A name may begin with a folder that is not there: it does not matter, nor can it lead out of the folder.
-    files = [(images / Path(shot.name).name, shot) for shot in shots]
+    files = [(images / Path(shot.name).name, shot) for shot in posed]
     kept = [(file, shot) for file, shot in files if has_file(file)]
     if not kept:
         raise FileNotFoundError(f"{images}: expected images that have poses, such as {files[0][0].name}, got none")
+    tell_lost(str(images), (file for file, _ in files), [file for file, _ in kept])
     tell_unlisted(str(images), [file for file, _ in kept])
-    camera = None
     if "undistorted" in images.name:
         camera = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
-
-    return read_shots(
-        [
-            Shot(file, camera or shot.camera, shot.world_to_camera, file.stem, folder / "depth" / f"{file.stem}.png")
-            for file, shot in kept
-        ]
+        kept = [(file, shot._replace(camera=camera)) for file, shot in kept]
+    depth = folder / "depth"
+    frames = read_shots(
+        [Shot(file, one.camera, one.world_to_camera, file.stem, depth / f"{file.stem}.png") for file, one in kept]
     )
+    frames.like_depth = "depth" if has_folder(depth) else None  # that of the iPhone is not that of dslr
+    return frames
 
 
 def _read_shots(file: Path) -> list[ColmapImage]:

@@ -11,15 +11,13 @@ nearest pairs are matched first and each image is used once, as in the benchmark
 interpolated between the previous and the next pose (the rotation spherically). Images without a pose within 0.02 s, for
 example before tracking began, are left out.
 
-Without camera-intrinsics.txt, the folder's name (freiburg1, 2 or 3) selects a published calibration, and colour and
-depth are undistorted. For other names the default of the sensor's driver is used, 525 525 319.5 239.5, with a warning,
-since other recordings of this layout have other cameras.
+Without camera-intrinsics.txt, the name of the folder or of one above it (freiburg1, 2 or 3) selects a published
+calibration, and colour and depth are undistorted. Other names are an error: recordings of this layout have all cameras.
 """
 
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,8 +25,8 @@ import numpy as np
 
 from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole_matrix
 from torchjoint.datasets.files.readers import read_matrix
-from torchjoint.datasets.files.text import frame_names, parse_numbers, path_inside, read_lines, read_timed_rows
-from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_unlisted
+from torchjoint.datasets.files.text import fields, frame_names, parse_numbers, path_inside, read_lines, read_timed_rows
+from torchjoint.datasets.recording import Options, Shot, posed, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Frame, Scene
 
@@ -44,7 +42,6 @@ _CALIBRATIONS = {
     "2": (520.908620, 521.007327, 325.141442, 249.701764, (0.231222, -0.784899, -0.003257, -0.000105, 0.917205)),
     "3": (535.4, 539.2, 320.1, 247.6, ()),
 }
-_DEFAULT = (525.0, 525.0, 319.5, 239.5, ())
 
 
 def recognizes(path: Path) -> bool:
@@ -64,10 +61,8 @@ def read_frames(path: Path) -> Sequence[Frame]:
     track = path / "groundtruth.txt"
     rows = read_timed_rows(track, "timestamp tx ty tz qx qy qz qw", 8)
     poses = interpolate_poses(rows, np.array(times), TOLERANCE, str(track))
-    kept = [(index, pose) for index, pose in enumerate(poses) if pose is not None]
-    if not kept:
-        raise ValueError(f"{path}: no image of rgb.txt has a pose in groundtruth.txt within {TOLERANCE} s")
-    tell_unlisted(str(path), images, len(poses) - len(kept), f"have no pose within {TOLERANCE} s,")
+    kept = posed(list(enumerate(poses)), str(path), track.name, TOLERANCE)
+    tell_unlisted(str(path), images)
     camera, shots = _camera(path), []
     names = frame_names([str(images[index]) for index, _ in kept])
     for (index, pose), name in zip(kept, names, strict=True):
@@ -107,14 +102,9 @@ def associate(first: Sequence[float], second: Sequence[float], tolerance: float 
 def _read_files(path: Path) -> list[tuple[float, Path]]:
     """Reads a list of timestamps and paths, sorted by time; of lines with equal times the first is used."""
     files: dict[float, Path] = {}
-    for name, line in read_lines(path, "lines of a timestamp and a path"):
-        words = line.split()
-        if not words:
-            continue
-        if len(words) != 2:
-            raise ValueError(f"{name}: expected a timestamp and a path, got {line[:100]!r}")
-        time = parse_numbers(words[:1], name)[0]
-        files.setdefault(time, path_inside(path.parent, words[1], name))
+    layout = "a timestamp and a path"
+    for name, (time, file) in fields(read_lines(path, f"lines of {layout}"), layout, 2):
+        files.setdefault(parse_numbers([time], name)[0], path_inside(path.parent, file, name))
     return sorted(files.items())
 
 
@@ -122,12 +112,11 @@ def _camera(path: Path) -> Camera:
     file = path / "camera-intrinsics.txt"
     if has_file(file):
         return Camera(read_matrix(file, (3, 3)), name=str(file))
-    known = re.search(r"(?<![a-z0-9])(?:freiburg|fr)([123])(?![0-9])", path.absolute().name)
-    if known is None:
-        warnings.warn(
-            f"{path}: expected camera-intrinsics.txt, or a name of the TUM benchmark (freiburg1, 2, 3); found neither: "
-            "taking fx = fy = 525, cx = 319.5, cy = 239.5",
-            stacklevel=2,
+    known = re.findall(r"(?<![a-z0-9])(?:freiburg|fr)([123])(?![0-9])", str(path.absolute()))
+    if not known:
+        raise ValueError(
+            f"{path}: expected camera-intrinsics.txt with fx 0 cx, 0 fy cy, 0 0 1 in pixels of its images, or a name "
+            "of the TUM benchmark (freiburg1, 2, 3), found neither"
         )
-    fx, fy, cx, cy, distortion = _CALIBRATIONS[known[1]] if known else _DEFAULT
+    fx, fy, cx, cy, distortion = _CALIBRATIONS[known[-1]]
     return Camera(pinhole_matrix(fx, fy, cx, cy), (480, 640), distortion, name=f"calibration of {path.name}")

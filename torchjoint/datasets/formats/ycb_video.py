@@ -35,9 +35,8 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     colors = _colors(path)
     no_twice(map(_name, colors), f"{path}: the colour image of frame")
-    lost = {_name(file) for file in path.glob("*-meta.mat")}.difference(map(_name, colors))
-    tell_lost(str(path), len(lost), len(lost) + len(colors))
-    images = label_images([_beside(file, "label.png") for file in colors], "labels")
+    tell_lost(str(path), map(_name, path.glob("*-meta.mat")), [_name(file) for file in colors])
+    images = label_images([_beside(file, "label.png") for file in colors], "labels", colors)
     return scene_of_frames(path, read_shots([_shot(file) for file in colors]), options, images=images)
 
 

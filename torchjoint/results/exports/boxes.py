@@ -12,9 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from torchjoint.results.boxes import (
-    Box,
+    LEVEL,
     boxes_of,
     datumaro_record,
     labelcloud_record,
@@ -22,31 +23,42 @@ from torchjoint.results.boxes import (
     segmentsai_label,
     segmentsai_object,
 )
-from torchjoint.results.objects import segment_records
+from torchjoint.results.objects import members, segment_records
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import csv_text
 from torchjoint.runtime.threads import on_cpu
 
-#: The scene's upward direction may differ from z by this angle, degrees.
-LEVEL = 10.0
-
+Array = npt.NDArray[np.float64]
 
 #: The columns of the table of segments; lengths in metres, places in the coordinates of the cloud.
-COLUMNS = ("id", "name", "points", "x", "y", "z", "size_x", "size_y", "size_z", "confidence")
+COLUMNS = ("id", "name", "points", "x", "y", "z", "size_x", "size_y", "size_z", "confidence", "bottom", "top", "area")
+
+#: A footprint is the convex hull, which has sharp corners, of fewer points, and where the outline has more than this
+#: share of its area.
+FEW, CONVEX = 300, 0.9
+#: A footprint is drawn in cells of so many mean distances of the points, which leaves few holes; holes of up to
+#: so many cells are closed, and corners moved by at most one cell.
+CELL, CLOSED = 2.0, 5
+#: Largest number of cells along a side of a footprint.
+MOST_CELLS = 2000
 
 
 @on_cpu()
 def export_csv(path: Path, result: Result) -> None:
-    """Writes a line for each segment: COLUMNS; x, y, z is the middle of its upright box, size its sides."""
-    rows = (["" if value is None else value for value in row] for row in _rows(result))
+    """Writes a line for each segment: COLUMNS.
+
+    x, y, z (in a survey east, north, height) is the middle of its upright box, size its sides; bottom and top are the
+    heights of its lowest and highest point; area is that of its footprint, the outline seen from above.
+    """
+    rows = (["" if value is None else value for value in row] for row, _ in _rows(result))
     write_text(path, csv_text([COLUMNS, *rows]))
 
 
 @on_cpu()
 def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
-    """Writes the footprint of each segment, the convex hull of its points seen along z, with the values of COLUMNS.
+    """Writes the footprint of each segment, the outline of its points seen along z, with the values of COLUMNS.
 
     Args:
         path: of the file; QGIS, GDAL and GeoPandas read it.
@@ -54,22 +66,23 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
         epsg: EPSG code of the cloud's coordinate system, named as GeoJSON of 2008 did; None: the file names none, which
             a warning tells.
     """
-    import cv2
-
-    _tell_leaning(result, "footprints are seen")
+    up = float(up_direction(result.scene)[2])
+    if up < LEVEL:
+        told = f"footprints are seen along z, but up in this scene is {math.degrees(math.acos(up)):.0f} degrees away"
+        warnings.warn(f"{told} from it", stacklevel=3)
     if epsg is None:
         told = "no coordinate system of the cloud is known: programs will take the metres for degrees; set it there"
         warnings.warn(f"{path.name}: {told}", stacklevel=3)
     features = []
-    for row in _rows(result):
-        places = result.scene.points[result.points == row[0], :2].double().numpy()
-        origin = places.mean(0)  # float32 has too few digits for coordinates of surveys
-        corners = cv2.convexHull((places - origin).astype(np.float32))[:, 0].astype(float) + origin
-        digits = 7 if np.abs(corners).max() <= 360 else 3  # a survey's coordinates may be degrees
-        ring = [[round(value, digits) for value in corner] for corner in (*corners.tolist(), corners[0].tolist())]
-        shape = (
-            {"type": "Polygon", "coordinates": [ring]} if len(ring) > 3 else {"type": "Point", "coordinates": ring[0]}
-        )
+    for row, points in _rows(result):
+        digits = 7 if np.abs(points[:, :2]).max() <= 360 else 3  # a survey's coordinates may be degrees
+        rings = [np.round([*ring, ring[0]], digits).tolist() for ring in _footprint(points[:, :2])]
+        if len(rings[0]) <= 3:
+            shape = {"type": "Point", "coordinates": rings[0][0]}
+        elif len(rings) == 1:
+            shape = {"type": "Polygon", "coordinates": rings}
+        else:
+            shape = {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
         properties = dict(zip(COLUMNS, row, strict=True))
         features.append({"type": "Feature", "id": row[0], "properties": properties, "geometry": shape})
     system = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}
@@ -77,18 +90,53 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     write_text(path, json.dumps(collection, ensure_ascii=False))
 
 
-def _rows(result: Result) -> Iterator[tuple[int | str | float | None, ...]]:
-    """The values of COLUMNS of each segment."""
+def _rows(result: Result) -> Iterator[tuple[tuple[int | str | float | None, ...], Array]]:
+    """The values of COLUMNS of each segment, and its points."""
+    of_all = members(result)
     for one in segment_records(result.scene, result):
-        lengths = [round(float(value), 4) for value in (*one.box.center, *one.box.size)]
+        points, axes = result.scene.points[of_all[one.id]].double().numpy(), one.box.axes
+        middle, half = float(one.box.center @ axes[2]), float(one.box.size[2]) / 2
+        area = sum(map(_area, _footprint(points @ axes[:2].T)))
+        lengths = (*one.box.center, *one.box.size, middle - half, middle + half, area)
+        *sizes, bottom, top, area = [round(float(value), 4) for value in lengths]
         sure = None if one.confidence is None else round(one.confidence, 4)
-        yield one.id, result.segment_names.get(one.id, ""), one.points, *lengths, sure
+        yield (one.id, result.segment_names.get(one.id, ""), one.points, *sizes, sure, bottom, top, area), points
+
+
+def _footprint(places: Array) -> list[Array]:
+    """The outlines of places [N, 2], counter-clockwise: the corners [K, 2] of each part, without holes.
+
+    Of few places, of a thin line of them, and where it is nearly the same, it is the convex hull.
+    """
+    import cv2
+
+    origin = places.mean(0)  # float32 has too few digits for coordinates of surveys
+    hull = cv2.convexHull((places - origin).astype(np.float32))[:, 0].astype(float) + origin
+    low, length = places.min(0), float(np.ptp(places, axis=0).max())
+    cell = max(CELL * math.sqrt(_area(hull) / len(places)), length / MOST_CELLS)
+    if len(places) < FEW or _area(hull) <= (CLOSED - 1) * cell * length:
+        return [hull]
+    column, row = ((places - low) / cell + CLOSED + 0.5).astype(int).T
+    covered = np.zeros((row.max() + CLOSED + 1, column.max() + CLOSED + 1), np.uint8)
+    covered[row, column] = 1
+    round_hole = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (CLOSED, CLOSED))
+    covered = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, round_hole)
+    found, _ = cv2.findContours(covered, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    rings = [low + cell * (cv2.approxPolyDP(ring, 1, closed=True)[::-1, 0] - CLOSED) for ring in found]
+    rings = [ring for ring in rings if len(ring) > 2]
+    return rings if 0 < sum(map(_area, rings)) < CONVEX * _area(hull) else [hull]
+
+
+def _area(ring: Array) -> float:
+    """The area inside corners [K, 2], by the shoelace formula."""
+    x, y = (ring - ring[0]).T
+    return abs(float(x @ np.roll(y, 1) - y @ np.roll(x, 1))) / 2
 
 
 @on_cpu()
 def export_openpcdet(path: Path, result: Result) -> None:
     """Writes a label file of OpenPCDet's custom data sets: a line ``x y z dx dy dz heading name`` for each segment."""
-    write_text(path, openpcdet_lines(_upright_boxes(result).values()))
+    write_text(path, openpcdet_lines(boxes_of(result).values()))
 
 
 @on_cpu()
@@ -97,20 +145,20 @@ def export_labelcloud(path: Path, result: Result, cloud: Path | None = None) -> 
 
     `cloud` is where labelCloud finds it; default: beside `path`, with the same name.
     """
-    record = labelcloud_record(_upright_boxes(result).values(), path.with_suffix(".ply") if cloud is None else cloud)
+    record = labelcloud_record(boxes_of(result).values(), path.with_suffix(".ply") if cloud is None else cloud)
     write_text(path, json.dumps(record, indent=1, ensure_ascii=False))
 
 
 @on_cpu()
 def export_cuboids(path: Path, result: Result) -> None:
     """Writes the boxes as a label of cuboids of Segments.ai; its cloud is ``points.ply`` of the result."""
-    write_text(path, json.dumps(segmentsai_label(_upright_boxes(result)), indent=1, ensure_ascii=False))
+    write_text(path, json.dumps(segmentsai_label(boxes_of(result)), indent=1, ensure_ascii=False))
 
 
 @on_cpu()
 def export_cvat(path: Path, result: Result) -> None:
     """Writes the boxes as CVAT reads them (format Datumaro 3D); its cloud is ``points.ply`` of the result, as .pcd."""
-    write_text(path, json.dumps(datumaro_record(_upright_boxes(result).values()), ensure_ascii=False))
+    write_text(path, json.dumps(datumaro_record(boxes_of(result).values()), ensure_ascii=False))
 
 
 @on_cpu()
@@ -123,17 +171,3 @@ def export_point_labels(path: Path, result: Result) -> None:
         "point_annotations": (result.points + 1).clamp(min=0).tolist(),
     }
     write_text(path, json.dumps(label, ensure_ascii=False))
-
-
-def _upright_boxes(result: Result) -> dict[int, Box]:
-    """The boxes of the segments; a warning tells if they lean."""
-    _tell_leaning(result, "boxes stand")
-    return boxes_of(result)
-
-
-def _tell_leaning(result: Result, what: str) -> None:
-    up = float(up_direction(result.scene)[2])
-    angle = math.degrees(math.acos(max(-1.0, min(1.0, up))))
-    if angle > LEVEL:
-        told = f"up in this scene is {angle:.0f} degrees away from it; turn the cloud first"
-        warnings.warn(f"{what} along z, but {told}", stacklevel=5)

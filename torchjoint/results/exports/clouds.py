@@ -9,8 +9,10 @@ import numpy as np
 
 from torchjoint.datasets.files.las import check_no_copc
 from torchjoint.datasets.files.ply import write_cloud
+from torchjoint.results.labelled_file import file_stem
 from torchjoint.results.result import Result
-from torchjoint.runtime.files import atomic_write, file_name, frame_files
+from torchjoint.runtime.archives import write_archive
+from torchjoint.runtime.files import atomic_write, frame_files
 from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu
 
@@ -21,9 +23,7 @@ def export_ply(folder: Path, result: Result) -> None:
     folder.mkdir()
     for segment in result.points[result.points >= 0].unique().tolist():
         cloud = result.cloud(segment)
-        name = result.segment_names.get(segment)
-        stem = f"{segment:06d}" if name is None else file_name(f"{segment:06d}-{name}")
-        write_cloud(folder / f"{stem}.ply", cloud.points, cloud.colors)
+        write_cloud(folder / f"{file_stem(segment, result)}.ply", cloud.points, cloud.colors)
 
 
 @on_cpu()
@@ -76,5 +76,4 @@ def export_npz(path: Path, result: Result) -> None:
     arrays["names"] = np.array(names, dtype=str)
     named = zip(frame_files(names), result.images, strict=True)
     arrays |= {f"image:{name}": image.numpy().astype(np.int32) for name, image in named}
-    with atomic_write(path) as partial, partial.open("wb") as stream:  # NumPy would add .npz to a path
-        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    write_archive(path, arrays)

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from torchjoint.results.objects import image_views
 from torchjoint.results.result import Result
-from torchjoint.runtime.files import atomic_write, file_name, frame_files, write_text
+from torchjoint.runtime.archives import write_archive
+from torchjoint.runtime.files import file_name, frame_files, write_text
 from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu, parallel_map
 
@@ -25,6 +26,10 @@ class Mask(NamedTuple):
     box: list[int]  #: x, y, width, height
     area: int  #: pixels
     encoded: dict[str, Any]  #: {"size": [H, W], "counts": text}
+
+    def record(self, number: int) -> dict[str, Any]:
+        """An annotation of this number, as COCO and SAM have it."""
+        return {"id": number, "segmentation": self.encoded, "bbox": self.box, "area": self.area}
 
 
 def masks_of(labels: Tensor) -> Iterator[Mask]:
@@ -55,14 +60,7 @@ def export_sam(folder: Path, result: Result) -> None:
         name, (height, width) = files[index], result.images[index].shape
         image = {"image_id": index, "width": width, "height": height, "file_name": f"{name}.jpg"}
         annotations = [
-            {
-                "id": mask.segment,
-                "segmentation": mask.encoded,
-                "bbox": mask.box,
-                "area": mask.area,
-                "crop_box": [0, 0, width, height],
-            }
-            for mask in masks_of(result.images[index])
+            mask.record(mask.segment) | {"crop_box": [0, 0, width, height]} for mask in masks_of(result.images[index])
         ]
         text = json.dumps({"image": image, "annotations": annotations})
         (folder / f"{name}.json").write_text(text, encoding="utf-8")
@@ -91,13 +89,10 @@ def export_coco(path: Path, result: Result) -> None:
         images.append({"id": index + 1, "file_name": f"{files[index]}.jpg", "width": width, "height": height})
         for mask in masks:
             annotations.append(
-                {
-                    "id": len(annotations) + 1,
+                mask.record(len(annotations) + 1)
+                | {
                     "image_id": index + 1,
                     "category_id": 1 + categories.index(names.get(mask.segment) or "object"),
-                    "segmentation": mask.encoded,
-                    "area": mask.area,
-                    "bbox": mask.box,
                     "iscrowd": 0,
                     "segment_id": mask.segment,
                     **({"segment_name": names[mask.segment]} if names.get(mask.segment) else {}),
@@ -144,14 +139,9 @@ def export_scannet(folder: Path, result: Result) -> None:
 def export_masks(path: Path, result: Result) -> None:
     """Writes an archive with the arrays pred_masks [N, S] bool, pred_score [S] and pred_classes [S]."""
     segments = _segments(result)
-    masks = (result.points[:, None] == segments).numpy()
-    with atomic_write(path) as partial, partial.open("wb") as stream:  # NumPy would add .npz to a path
-        np.savez_compressed(
-            stream,
-            pred_masks=masks,
-            pred_score=_scores(result)[segments].numpy(),
-            pred_classes=np.full(len(segments), LABEL, dtype=np.int32),
-        )
+    arrays = {"pred_masks": (result.points[:, None] == segments).numpy()}
+    arrays |= {"pred_score": _scores(result)[segments].numpy(), "pred_classes": np.full(len(segments), LABEL, np.int32)}
+    write_archive(path, arrays)
 
 
 def scene_name(result: Result) -> str:
@@ -161,8 +151,7 @@ def scene_name(result: Result) -> str:
 
 def _segments(result: Result) -> Tensor:
     """The ids [S] that have points, ascending: after corrections, some may have none."""
-    ids: Tensor = result.points[result.points >= 0].unique()
-    return ids
+    return result.points[result.points >= 0].unique()
 
 
 def _scores(result: Result) -> Tensor:

@@ -126,9 +126,8 @@ def merge_superpoints(superpoints: SuperpointGraph, steps: Sequence[Step], judge
         _merge_in_steps(regions, judge, [*between, *above], _by_probability, merges)
         return merges.hierarchy(superpoints.superpoint, default)
     # a first merging, which shows how far the masks contradict each other
-    linkage = linkage.calibrated(
-        _merge_in_steps(regions, judge, steps, linkage.merges, Merges(len(superpoints))).of_superpoint
-    )
+    first = _merge_in_steps(regions, judge, steps, linkage.merges, Merges(len(superpoints)))
+    linkage = linkage.calibrated(first.of_superpoint)
     regions = _merge_in_steps(regions, judge, steps, linkage.merges, merges)
     regions = _merge_step(regions, judge, steps[-1], linkage.merges_far, merges)
     regions = _merge_in_steps(regions, judge, [steps[-1]], linkage.merges_of_small, merges)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchjoint.cloud.edge_weights import EDGES
 from torchjoint.segments.learned.region_statistics import sum_by
 
 #: The measures of an edge, each with the value that divides its bins in two halves of equal number (a typical one):
@@ -31,7 +32,7 @@ AVERAGED = ("hollow", "unoriented", "seen", "views")
 #: Number of bins of a measure. The bins of the crease begin at -1 and all others at 0, see :func:`_bins`.
 BINS = 32
 _LOWEST = {"crease": -1.0}
-#: The histograms of more boundaries are not kept, but computed from the edges, which take a fifth of the memory.
+#: The histograms of more boundaries are not kept, but computed from the edges, or from those before a merging.
 MANY_BOUNDARIES = 200_000
 
 
@@ -57,7 +58,9 @@ class Boundaries(NamedTuple):
         for number, name in enumerate(AVERAGED):
             if name in values:
                 averaged[:, number] = sum_by(pair, values[name].double(), num_pairs)
-        binned = _Histograms(pair, num_pairs, {name: values[name] for name in MEASURES if name in values})
+        binned = _Computed(
+            [name for name in MEASURES if name in values], lambda name: _histogram(pair, num_pairs, values[name], name)
+        )
         counted = binned if num_pairs > MANY_BOUNDARIES else dict(binned)
         return cls(torch.bincount(pair, minlength=num_pairs), averaged, counted)
 
@@ -74,51 +77,57 @@ class Boundaries(NamedTuple):
             ways = zip(across, of_pair, num_pairs, strict=True)
             return torch.cat([sum_by(new, values.index_select(0, kept), count) for kept, new, count in ways])
 
-        binned = {name: changed(values) for name, values in self.binned.items()}  # one by one: less memory
-        return Boundaries(changed(self.num_edges), changed(self.averaged), binned)
+        binned = _Computed(self.binned, lambda name: changed(self.binned[name]))
+        is_kept = isinstance(self.binned, dict) and sum(num_pairs) > MANY_BOUNDARIES  # what it is computed from
+        return Boundaries(changed(self.num_edges), changed(self.averaged), binned if is_kept else dict(binned))
 
-    def means(self) -> dict[str, Tensor]:
-        """Mean of each known measure over the edges with a value, [Q] float64, NaN = none; of AVERAGED over all."""
-        measured = {
-            name: sums[:, 1].sum(1, dtype=torch.float64) / sums[:, 0].sum(1) for name, sums in self.binned.items()
-        }
-        return measured | dict(zip(AVERAGED, (self.averaged / self.num_edges[:, None]).unbind(1), strict=True))
+    def averages(self) -> dict[str, Tensor]:
+        """Mean of each of AVERAGED over the edges, [Q] float64."""
+        return dict(zip(AVERAGED, (self.averaged / self.num_edges[:, None]).unbind(1), strict=True))
 
-    def quantiles(self, shares: Sequence[float]) -> dict[str, Tensor]:
-        """Quantiles of each known measure, [Q, len(shares)] float32, NaN without a value.
+    def summaries(self, shares: Sequence[float]) -> dict[str, tuple[Tensor, Tensor]]:
+        """Mean [Q] float64 and quantiles [Q, len(shares)] float32 of each known measure; NaN without a value.
 
         The quantile q of n values is the one at place (n - 1) q in ascending order, rounded; instead of it, the mean of
         all values in its bin is given.
         """
         found = {}
-        for name, sums in self.binned.items():
+        for name, sums in self.binned.items():  # each is read once: it may have to be computed
             binned, total = sums.unbind(1)
             up_to = binned.cumsum(1)
             place = ((up_to[:, -1:] - 1) * up_to.new_tensor(shares)).round()
             bin_ = torch.searchsorted(up_to, place, right=True).clamp_(max=BINS - 1)
-            found[name] = total.gather(1, bin_) / binned.gather(1, bin_)
+            mean = total.sum(1, dtype=torch.float64) / binned.sum(1)
+            found[name] = mean, total.gather(1, bin_) / binned.gather(1, bin_)
         return found
 
 
-class _Histograms(Mapping[str, Tensor]):
-    """The histograms of measures, each computed from the values of the edges whenever it is read."""
+class _Computed(Mapping[str, Tensor]):
+    """The histograms of measures, each computed whenever it is read."""
 
-    def __init__(self, pair: Tensor, num_pairs: int, values: dict[str, Tensor]) -> None:
-        self._pair, self._num_pairs, self._values = pair, num_pairs, values
+    def __init__(self, names: Collection[str], compute: Callable[[str], Tensor]) -> None:
+        self._names, self._compute = names, compute
 
     def __getitem__(self, name: str) -> Tensor:
-        known, value = self._values[name].isfinite(), self._values[name].nan_to_num(0, 0, 0)
-        key = self._pair * BINS + _bins(value, name)
-        sums = torch.empty(self._num_pairs, 2, BINS, dtype=torch.float32)
-        for number, of_edge in enumerate((known, value)):
-            sums[:, number] = torch.bincount(key, of_edge, self._num_pairs * BINS).view(-1, BINS)
-        return sums
+        return self._compute(name)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
+        return iter(self._names)
 
     def __len__(self) -> int:
-        return len(self._values)
+        return len(self._names)
+
+
+def _histogram(pair: Tensor, num_pairs: int, values: Tensor, measure: str) -> Tensor:
+    """The histogram [Q, 2, BINS] of the values [C] of edges, whose boundaries are `pair` [C]."""
+    sums = torch.zeros(num_pairs * 2 * BINS, dtype=torch.float32)
+    for start in range(0, len(pair), EDGES):  # less memory than all edges at once
+        given = values[start : start + EDGES]
+        value = given.nan_to_num(0, 0, 0)
+        key = pair[start : start + EDGES] * (2 * BINS) + _bins(value, measure)
+        sums.index_add_(0, key, given.isfinite().float())
+        sums.index_add_(0, key + BINS, value)
+    return sums.view(num_pairs, 2, BINS)
 
 
 def _bins(values: Tensor, measure: str) -> Tensor:

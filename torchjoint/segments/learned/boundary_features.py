@@ -37,6 +37,10 @@ def _summary(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_{part}" for part in ("mean", "low", "median", "high"))
 
 
+def _sides(name: str) -> tuple[str, ...]:
+    return tuple(f"{name}_{side}" for side in SIDES)
+
+
 def _context(name: str) -> tuple[str, ...]:
     return (f"{name}_above_mean_of_small", f"{name}_above_least_of_small", f"{name}_above_least_of_large")
 
@@ -49,17 +53,10 @@ _SHAPE = ("noise_ratio", "width", "elongation", "thickness", "flatness")
 
 #: The names of the features. The order is part of a trained model.
 FEATURE_NAMES: tuple[str, ...] = (
-    *_summary("crease"),
-    *_summary("bend"),
-    *_summary("wide_bend"),
-    *_summary("offset"),
-    *_summary("larger_offset"),
-    *_summary("gap"),
+    *(part for name in ("crease", "bend", "wide_bend", "offset", "larger_offset", "gap") for part in _summary(name)),
     "unoriented_share",
-    "log_points_small",
-    "log_points_large",
-    "boundary_per_perimeter_small",
-    "boundary_per_perimeter_large",
+    *_sides("log_points"),
+    *_sides("boundary_per_perimeter"),
     "boundary_share",
     *(f"{name}_{side}" for side in SIDES for name in _SHAPE),
     "noise_ratio_union",
@@ -73,8 +70,7 @@ FEATURE_NAMES: tuple[str, ...] = (
     "lightness_difference",
     "chroma_difference",
     "color_contrast",
-    "color_spread_small",
-    "color_spread_large",
+    *_sides("color_spread"),
     *_summary("color_step"),
     "color_step_ratio",
     *_summary("disagreement"),
@@ -93,15 +89,12 @@ FEATURE_NAMES: tuple[str, ...] = (
     *_context("disagreement"),
     "perimeter_share_small",
     "log_neighbors_small",
-    "bulge_small",
-    "bulge_large",
+    *_sides("bulge"),
     "bulge_union",
     "bulge_growth",
-    "roughness_small",
-    "roughness_large",
+    *_sides("roughness"),
     "bend_above_roughness",
-    "texture_small",
-    "texture_large",
+    *_sides("texture"),
     "color_step_above_texture",
 )
 
@@ -125,9 +118,10 @@ def boundary_features(superpoints: SuperpointGraph) -> Tensor:
     a_is_small = statistics.size[a] <= statistics.size[b]
     small, large = torch.where(a_is_small, a, b), torch.where(a_is_small, b, a)
     sides = _Sides(superpoints.pairs, small, large, boundaries.num_edges.double())
-    mean = boundaries.means()
+    mean = boundaries.averages()
     columns: Columns = {"unoriented_share": mean["unoriented"]}
-    for name, quantiles in boundaries.quantiles(QUANTILES).items():
+    for name, (mean_of_edges, quantiles) in boundaries.summaries(QUANTILES).items():
+        mean[name] = mean_of_edges
         columns |= zip(_summary(name), (mean[name], *quantiles.unbind(1)), strict=True)
     columns |= _sizes(statistics, sides)
     columns |= _shapes(statistics, small, large)
@@ -139,10 +133,13 @@ def boundary_features(superpoints: SuperpointGraph) -> Tensor:
         columns |= _in_context("disagreement", mean["disagreement"], sides, len(superpoints))
     columns |= _neighborhood(sides, len(superpoints))
     columns |= _bulges(statistics, small, large)
-    columns |= _roughness(statistics, small, large, columns["bend_median"])
+    bend, rough = columns["bend_median"], statistics.roughness
+    columns |= _against_inside("roughness", rough, sides, "bend", bend, SMALLEST_ROUGHNESS)
     if superpoints.typical_color_step is not None:
-        columns["color_step_ratio"] = columns["color_step_median"] / superpoints.typical_color_step
-        columns |= _textures(statistics, small, large, columns["color_step_median"])
+        step = columns["color_step_median"]
+        columns["color_step_ratio"] = step / superpoints.typical_color_step
+        if statistics.texture is not None:
+            columns |= _against_inside("texture", statistics.texture, sides, "color_step", step, SMALLEST_TEXTURE)
     return _in_order(columns, len(a))
 
 
@@ -270,17 +267,8 @@ def _extent(covariance: Tensor) -> Tensor:
     return torch.diagonal(covariance, dim1=1, dim2=2).sum(1).sqrt().clamp(min=TINY)
 
 
-def _roughness(regions: RegionStatistics, small: Tensor, large: Tensor, bend: Tensor) -> Columns:
-    """Roughness of both regions, and the boundary's bend [B] divided by it."""
-    one, other = regions.roughness[small], regions.roughness[large]
-    above = bend.double() / (torch.maximum(one, other) + SMALLEST_ROUGHNESS)
-    return {"roughness_small": one, "roughness_large": other, "bend_above_roughness": above}
-
-
-def _textures(regions: RegionStatistics, small: Tensor, large: Tensor, color_step: Tensor) -> Columns:
-    """Texture of both regions, and the boundary's colour step [B] divided by it; nothing without colours."""
-    if regions.texture is None:
-        return {}
-    one, other = regions.texture[small], regions.texture[large]
-    above = color_step.double() / (torch.maximum(one, other) + SMALLEST_TEXTURE)
-    return {"texture_small": one, "texture_large": other, "color_step_above_texture": above}
+def _against_inside(name: str, inside: Tensor, sides: _Sides, step: str, of_boundary: Tensor, least: float) -> Columns:
+    """Roughness or texture [R] of both regions, and the boundary's bend or colour step [B] divided by it."""
+    one, other = inside[sides.small], inside[sides.large]
+    above = of_boundary.double() / (torch.maximum(one, other) + least)
+    return {f"{name}_small": one, f"{name}_large": other, f"{step}_above_{name}": above}

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchjoint.ops.internal import boosted_trees
+from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.threads import all_threads
@@ -238,9 +239,10 @@ def load_boundary_model(
     if not has_file(path):
         raise FileNotFoundError(f"{path}: missing; expected a model of `torchjoint-lab train-boundary-model`, NAME.npz")
     try:
-        return _model(_read_arrays(path), features)
+        return _model(read_archive(path, most=LARGEST), features)
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{path}: not a model of boundaries: {error}") from error
+        told = " ".join(str(error).removeprefix(f"{path}: ").split())
+        raise ValueError(f"{path}: not a model of boundaries: {told}") from error
 
 
 @lru_cache(maxsize=3)
@@ -298,37 +300,3 @@ def _other_features(names: tuple[str, ...], features: tuple[str, ...]) -> str:
         f"feature_names: trained on other features than this version computes ({len(names)} instead of "
         f"{len(features)}; number {place} is {have} instead of {want}); train it again"
     )
-
-
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of an .npz file by name; checks every declared size before it allocates memory."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            entries = archive.infolist()
-            if sum(entry.file_size for entry in entries) > LARGEST:
-                raise ValueError(f"expected arrays of at most {LARGEST >> 20} MB")
-            return {entry.filename.removesuffix(".npy"): _read_array(archive, entry) for entry in entries}
-    except ValueError:
-        raise
-    except Exception as error:  # zipfile and zlib raise many kinds of errors when a file is damaged
-        raise ValueError(f"not a whole .npz file ({' '.join(str(error).split())})") from error
-
-
-def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
-    # numpy would allocate the declared size before it finds that the file has fewer bytes.
-    with archive.open(entry) as file:
-        content = io.BytesIO(file.read(LARGEST))
-    try:
-        if np.lib.format.read_magic(content) != (1, 0):
-            raise ValueError("expected version 1.0 of the .npy format")
-        shape, in_columns, dtype = np.lib.format.read_array_header_1_0(content)
-        count = math.prod(shape)
-        if dtype.hasobject or dtype.fields is not None or dtype.itemsize == 0 or not dtype.isnative:
-            raise ValueError(f"expected plain numbers or names, got {dtype}")
-        left = len(content.getbuffer()) - content.tell()
-        if in_columns or min(shape, default=0) < 0 or count * dtype.itemsize != left:
-            raise ValueError(f"expected {list(shape)} of {dtype} by rows, got {left} bytes")
-        values = np.frombuffer(content.getbuffer()[content.tell() :], dtype) if left else np.empty(count, dtype)
-        return values.reshape(shape).copy()
-    except Exception as error:  # reading the header of a damaged array can raise anything
-        raise ValueError(f"{entry.filename.removesuffix('.npy')}: {' '.join(str(error).split())}") from error

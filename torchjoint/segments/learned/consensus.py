@@ -21,7 +21,8 @@ from torchjoint.cloud.graph import PointGraph
 from torchjoint.cloud.normals import dot, estimate_normals
 from torchjoint.cloud.scales import Scales
 from torchjoint.ops.internal import WEIGHT_UNIT, mask_merges
-from torchjoint.runtime.groups import members_of_groups, most_frequent, numbers_by_first_place
+from torchjoint.runtime.groups import counted_pairs, most_frequent, numbers_by_first_place
+from torchjoint.runtime.messages import advance
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import Votes
@@ -38,7 +39,12 @@ from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.masks import MaskLinkage
 from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES, merges_by_contact
-from torchjoint.segments.learned.superpoint_graph import MANY_POINTS, SuperpointGraph, counted
+from torchjoint.segments.learned.superpoint_graph import (
+    MANY_POINTS,
+    SuperpointGraph,
+    give_back_much,
+    pairs_in_one_group,
+)
 
 #: Number of copies of the cloud; the first one is the cloud itself, the others are jittered.
 COPIES = 3
@@ -151,10 +157,8 @@ def build_consensus(copies: Sequence[SuperpointGraph], model: BoundaryModel) -> 
             of_superpoint = ops.connected_components(joined, int(of_superpoint.max()) + 1)[of_superpoint]
         if level == default:
             votes = Votes(torch.stack(of_members), size)
-            regions, stays = (
-                superpoints.grouped(of_superpoint),
-                None if linkage is None else linkage.confirmed(of_superpoint),
-            )
+            regions = superpoints.grouped(of_superpoint)
+            stays = None if linkage is None else linkage.confirmed(of_superpoint)
             least = MIN_SIZE if superpoints.images is None or linkage is not None else MIN_SIZE_IN_IMAGES
             count = regions.boundaries.num_edges
             joined = merges_by_contact(regions.pairs, count, regions.statistics.size, stays, least)
@@ -175,15 +179,19 @@ def segments_of_members(
     given = [copies[0]]  # whoever takes it is the only one who has its measures
     superpoints = given[0].without_measures()
     levels = _levels(model.thresholds, superpoints)
+    done = partial(advance.get(), 0.99 / (2 * len(copies)))  # each copy, and its members' first step; then they vote
 
     def taken(number: int) -> SuperpointGraph:
-        return copies[number] if number else given.pop()
+        copy = copies[number] if number else given.pop()
+        done()
+        return copy
 
     def of_copy(number: int) -> list[list[Tensor]]:
         if superpoints.masks is not None:
             return _segments_by_masks(taken(number), model, levels, superpoints.superpoint)
         ensemble = Ensemble(model, slice(number, None, len(copies)))
         cells, regions, after = _first_step(taken(number), ensemble, levels[0], superpoints.superpoint)
+        done()
         return _segments(cells, regions, after, ensemble, model, levels)
 
     numbers = range(len(copies))
@@ -227,7 +235,9 @@ def _first_step(
         )
         return ops.connected_components(joined, len(superpoints))
 
+    give_back_much(len(other))
     regions = parallel_map(merged, ensemble.first_probabilities(boundary_features(superpoints)))
+    give_back_much(len(other))
     cell = _together(regions)
     cells = superpoints.grouped(cell)
     of_cells = [torch.empty_like(cells.superpoint).index_put_((cell,), region) for region in regions]
@@ -304,10 +314,12 @@ def vote(
     num_segments = torch.tensor([int(one.max()) + 1 for one in segments])
     first = num_segments.cumsum(0) - num_segments
     in_segment = torch.cat(
-        [counted(of_superpoint, one + start, size) for one, start in zip(segments, first, strict=True)], 1
+        [counted_pairs(of_superpoint, one + start, size) for one, start in zip(segments, first, strict=True)], 1
     )
-    ends = of_superpoint[touching] if touching is not None else _in_one_segment(in_segment)
-    size_of_region = sum_by(of_superpoint, size, int(of_superpoint.max()) + 1)
+    num_regions = int(of_superpoint.max()) + 1
+    region, segment, _ = in_segment
+    ends = pairs_in_one_group(region, segment, num_regions) if touching is None else of_superpoint[touching]
+    size_of_region = sum_by(of_superpoint, size, num_regions)
     segmentation = torch.arange(len(segments)).repeat_interleave(num_segments)
     return average_linkage(ends, size_of_region, in_segment, segmentation, MAJORITY)
 
@@ -335,13 +347,3 @@ def average_linkage(
     prior, one = torch.zeros(edge_index.shape[1], dtype=torch.float32), torch.ones_like(edge_index[0])
     masks = (in_segment, in_frame, torch.full_like(segmentation, WEIGHT_UNIT), segmentation)
     return mask_merges(edge_index, prior, one, size, *masks, apart_weight=1.0, prior_weight=1e-9, threshold=threshold)
-
-
-def _in_one_segment(in_segment: Tensor) -> Tensor:
-    """The pairs of regions [2, B] that a segmentation has together, of rows (region, segment, points) [3, I]."""
-    region, segment = in_segment[:2, torch.argsort(in_segment[1], stable=True)]
-    first, second = members_of_groups(torch.bincount(segment), segment)
-    one, other = region[first], region[second]
-    num_regions = int(region.max()) + 1
-    key = torch.unique((one * num_regions + other)[one < other])
-    return torch.stack([key // num_regions, key % num_regions])

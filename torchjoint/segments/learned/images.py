@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops.internal import agreement_sums
+from torchjoint.runtime.groups import counted_pairs
 from torchjoint.runtime.threads import all_threads, parallel_map
 from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.views.observations import Observation, Observations
@@ -89,10 +90,8 @@ def segments_of_superpoints(superpoint: Tensor, observations: Sequence[Observati
 
     def count_points(seen: Observation) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         point, label = seen.labelled_points()
-        num_labels = int(label.max()) + 1 if label.numel() else 0
-        pair, count = torch.unique(superpoint[point] * num_labels + label, return_counts=True)
-        of_pair = (pair // max(num_labels, 1), pair % max(num_labels, 1), count)
-        return *(values.int() for values in of_pair), torch.bincount(label, minlength=num_labels)
+        superpoints, labels, counts = counted_pairs(superpoint[point], label).int()
+        return superpoints, labels, counts, torch.bincount(label)
 
     superpoints, labels, counts, sizes = zip(*parallel_map(count_points, observations), strict=True)
     num_labels = torch.tensor([len(size) for size in sizes])

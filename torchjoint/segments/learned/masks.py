@@ -11,12 +11,12 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.ops.internal import mask_merges
-from torchjoint.runtime.groups import find, first_places, members_of_groups
+from torchjoint.runtime.groups import best_of_groups, find, first_places
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned.region_statistics import sum_by
 from torchjoint.segments.learned.small_regions import MIN_SIZE
-from torchjoint.segments.learned.superpoint_graph import MaskCounts, masks_of_superpoints
+from torchjoint.segments.learned.superpoint_graph import MaskCounts, masks_of_superpoints, pairs_in_one_group
 from torchjoint.views.observations import Observation
 
 # These numbers were chosen on generated rooms, table-tops, shelves and kitchens with perfect, SAM-like and hard masks.
@@ -87,16 +87,9 @@ class MaskLinkage:
 
     def far_pairs(self, of_superpoint: Tensor) -> Tensor:
         """Pairs of regions that lie in one mask, whether or not they touch: [2, B] int64, a < b, ascending."""
-        num_regions = int(of_superpoint.max()) + 1
         region, mask, count = self.masks.of_regions(of_superpoint)[0]
-        region, mask = region[count >= MIN_POINTS], mask[count >= MIN_POINTS]
-        order = torch.argsort(mask, stable=True)
-        region, mask = region[order], mask[order]
-        # Each row meets all rows of its mask.
-        first, second = members_of_groups(torch.bincount(mask, minlength=len(self.masks.weight)), mask)
-        one, other = region[first], region[second]
-        key = torch.unique((one * num_regions + other)[one < other])
-        return torch.stack([key // num_regions, key % num_regions])
+        enough = count >= MIN_POINTS
+        return pairs_in_one_group(region[enough], mask[enough], int(of_superpoint.max()) + 1)
 
     def merges_of_small(
         self, of_superpoint: Tensor, ends: Tensor, cost: Tensor, count: Tensor, _: float = math.inf
@@ -280,10 +273,8 @@ def move_to_majority(
     wanted = _wanted_regions(region, _best_regions(masks, of_superpoint), observations)
     ends = torch.cat([edge_index, edge_index.flip(0)], 1)
     one, other = ends[:, (wanted[ends[0]] >= 0) & (wanted[ends[0]] == region[ends[1]])]
-    num_points = len(region)
-    source = torch.full((num_points,), num_points).scatter_reduce_(0, one, other, "amin")
-    stays = torch.arange(num_points)
-    source = torch.where(source < num_points, source, stays)
+    stays = torch.arange(len(region))
+    source = stays.scatter_reduce(0, one, other, "amin", include_self=False)
     # If points stay to keep their superpoint, another superpoint that would have received them may be lost: test again.
     while (is_lost := torch.bincount(hierarchy.superpoint[source], minlength=hierarchy.num_superpoints) == 0).any():
         source = torch.where(is_lost[hierarchy.superpoint], stays, source)
@@ -332,9 +323,4 @@ def _best_regions(masks: MaskCounts, of_superpoint: Tensor) -> Tensor:
     """The region that overlaps best with each mask, of several the lowest: [M] int64, -1 = none."""
     in_mask, in_frame = masks.of_regions(of_superpoint)
     region, mask, _ = in_mask
-    overlap, num_masks = overlaps(masks, in_mask, in_frame), len(masks.weight)
-    largest = torch.zeros(num_masks, dtype=torch.float64).scatter_reduce_(0, mask, overlap, "amax")
-    is_largest = overlap == largest[mask]
-    none = int(of_superpoint.max()) + 1
-    best = torch.full((num_masks,), none).scatter_reduce_(0, mask[is_largest], region[is_largest], "amin")
-    return torch.where(best < none, best, -1)
+    return best_of_groups(mask, region, overlaps(masks, in_mask, in_frame), len(masks.weight))[0]

@@ -25,10 +25,10 @@ GREY = 1.0
 def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
     """Measures the scales, thins a cloud that is much denser than its noise, and builds the graph.
 
-    Colours that are all equal count as no colours.
+    Colours or normals that are all equal count as none.
     """
     _model(config)  # reports a bad file here, not after all frames
-    cloud = cloud.without_constant_colors()
+    cloud = cloud.without_constants()
     frame = LocalFrame.of(cloud.points)
     local, of_cloud = local_cloud(cloud, frame, merge_within)
     working, scales, of_local = working_cloud(local)

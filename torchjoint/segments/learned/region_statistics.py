@@ -6,7 +6,7 @@ follow from the statistics of its superpoints.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -20,6 +20,8 @@ def sum_by(group: Tensor, values: Tensor, num_groups: int) -> Tensor:
     return values.new_zeros(num_groups, *values.shape[1:]).index_add_(0, group, values)
 
 
+#: Number of points processed at a time, so that intermediate results of large clouds need little memory.
+POINTS = 1 << 16
 #: Added to the spread of colours before a division by it, units of Lab: about the spread of colours of one surface.
 COLOR_NOISE = 2.0
 
@@ -61,69 +63,80 @@ class Surface(NamedTuple):
 
 
 class InnerEdges(NamedTuple):
-    """Edges between neighbouring points of the same region."""
+    """Some of the edges between neighbouring points of the same region."""
 
     region: Tensor  #: [E] int64
     turn: Tensor  #: [E] right angles, angle between the normals
     color_step: Tensor | None  #: [E] Lab, difference of the colours, NaN if an end has none
 
 
-def statistics_of_points(region: Tensor, surface: Surface, inner: InnerEdges) -> RegionStatistics:
+def statistics_of_points(region: Tensor, surface: Surface, inner: Iterable[InnerEdges]) -> RegionStatistics:
     """The statistics of each region of points.
 
     Args:
         region: [N] int64, 0 ... R - 1, each with at least one point.
         surface: properties of the points.
-        inner: edges inside the regions; a region without edges has roughness and texture 0.
+        inner: edges inside the regions, in blocks; a region without edges has roughness and texture 0.
     """
     size = int(region.max()) + 1
     lab = surface.lab
     count = torch.bincount(region, minlength=size).double()
 
-    def mean_of(values: Tensor) -> Tensor:
-        return sum_by(region, values.double(), size) / count.view(-1, *[1] * (values.ndim - 1))
+    def mean_of(values: Callable[[slice], Tensor], count: Tensor = count) -> Tensor:
+        """The mean [R, ...] of values, which are given for blocks of successive points: [n, ...]."""
+        total = values(slice(0, 0)).double()
+        total = total.new_zeros(size, *total.shape[1:])
+        for start in range(0, len(region), POINTS):
+            at = slice(start, start + POINTS)
+            total.index_add_(0, region[at], values(at).double())
+        return total / count.view(-1, *[1] * (total.ndim - 1))
 
-    def mean_inside(values: Tensor) -> Tensor:
-        edges = torch.bincount(inner.region, minlength=size).clamp(min=1)
-        return sum_by(inner.region, values.double(), size) / edges
+    def away(at: slice) -> Tensor:
+        return surface.points[at].double() - mean[region[at]]
 
-    mean = mean_of(surface.points)
-    away = surface.points.double() - mean[region]
-    outward = torch.where(surface.oriented[:, None], surface.normals.double(), 0.0)
-    color = variance = colored = texture = None
+    def outward(at: slice) -> Tensor:
+        return torch.where(surface.oriented[at, None], surface.normals[at].double(), 0.0)
+
+    mean = mean_of(lambda at: surface.points[at])
+    color = variance = colored = None
     if lab is not None:
         has_color = lab[:, 0].isfinite()
-        if not has_color.all():
-            colored = torch.bincount(region[has_color], minlength=size).double()
-        color = _mean_of_known(lab.double(), has_color, region, size)
-        variance = _mean_of_known((lab.double() - color[region]).square(), has_color, region, size)
-    if inner.color_step is not None:
-        known = inner.color_step.isfinite()
-        edges = torch.bincount(inner.region[known], minlength=size).clamp(min=1)
-        texture = sum_by(inner.region[known], inner.color_step[known].double(), size) / edges
-        texture = texture if colored is None else torch.where(colored > 0, texture, torch.nan)
+        known = torch.bincount(region[has_color], minlength=size).double()
+        colored = None if has_color.all() else known
+        color = mean_of(lambda at: lab[at].nan_to_num(), known)
+        variance = mean_of(lambda at: (lab[at].double() - color[region[at]]).square().nan_to_num(), known)
+    roughness, texture = _means_of_edges(inner, size)
+    if texture is not None and colored is not None:
+        texture = torch.where(colored > 0, texture, torch.nan)
     return RegionStatistics(
         count,
         mean,
-        mean_of(_outer(away)),
-        mean_of(surface.normals),
-        mean_of(surface.noise),
-        mean_of(surface.spacing),
+        mean_of(lambda at: _outer(away(at))),
+        mean_of(lambda at: surface.normals[at]),
+        mean_of(lambda at: surface.noise[at]),
+        mean_of(lambda at: surface.spacing[at]),
         color,
         variance,
         mean_of(outward),
-        mean_of(dot(away, outward)),
-        mean_inside(inner.turn),
+        mean_of(lambda at: dot(away(at), outward(at))),
+        roughness,
         texture,
         colored,
     )
 
 
-def _mean_of_known(values: Tensor, is_known: Tensor, region: Tensor, size: int) -> Tensor:
-    """The mean [R, ...] of the known values [N, ...] in each region; NaN if none is known."""
-    region = region[is_known]
-    count = torch.bincount(region, minlength=size)
-    return sum_by(region, values[is_known], size) / count.view(-1, *[1] * (values.ndim - 1))
+def _means_of_edges(inner: Iterable[InnerEdges], size: int) -> tuple[Tensor, Tensor | None]:
+    """The mean turn of the edges of each region [R], and the mean known colour step; None without colours."""
+    (turn, step), (edges, known_edges) = torch.zeros(2, 2, size, dtype=torch.float64)
+    has_steps = False
+    for region, turns, steps in inner:
+        turn.index_add_(0, region, turns.double())
+        edges += torch.bincount(region, minlength=size)
+        if steps is not None:
+            has_steps, known = True, steps.isfinite()
+            step.index_add_(0, region[known], steps[known].double())
+            known_edges += torch.bincount(region[known], minlength=size)
+    return turn / edges.clamp(min=1), step / known_edges.clamp(min=1) if has_steps else None
 
 
 def pooled(parts: RegionStatistics, of_part: Tensor, num_regions: int) -> RegionStatistics:
@@ -136,9 +149,9 @@ def pooled(parts: RegionStatistics, of_part: Tensor, num_regions: int) -> Region
     """
     count = sum_by(of_part, parts.size, num_regions)
 
-    def mean_of(values: Tensor) -> Tensor:
+    def mean_of(values: Tensor, weight: Tensor = parts.size, total: Tensor = count) -> Tensor:
         ones = [1] * (values.ndim - 1)
-        return sum_by(of_part, parts.size.view(-1, *ones) * values, num_regions) / count.view(-1, *ones)
+        return sum_by(of_part, weight.view(-1, *ones) * values, num_regions) / total.view(-1, *ones)
 
     mean = mean_of(parts.mean)
     # Squares relative to the mean: sums of squares of coordinates would cancel out for flat regions.
@@ -146,13 +159,11 @@ def pooled(parts: RegionStatistics, of_part: Tensor, num_regions: int) -> Region
     color = variance = texture = colored = None
     if parts.color is not None and parts.color_variance is not None:
         weight = parts.size if parts.colored is None else parts.colored
-        of_colors = count if parts.colored is None else sum_by(of_part, weight, num_regions)
+        of_colors = sum_by(of_part, weight, num_regions)
         colored = None if parts.colored is None else of_colors
 
         def mean_of_colors(values: Tensor) -> Tensor:
-            ones = [1] * (values.ndim - 1)
-            values = values if parts.colored is None else values.nan_to_num()  # parts without colours have weight 0
-            return sum_by(of_part, weight.view(-1, *ones) * values, num_regions) / of_colors.view(-1, *ones)
+            return mean_of(values.nan_to_num(), weight, of_colors)  # parts without colours have weight 0
 
         color = mean_of_colors(parts.color)
         variance = mean_of_colors(parts.color_variance + (parts.color - color[of_part]).square())

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.runtime.groups import first_places
+from torchjoint.runtime.groups import best_of_groups, counted_pairs, first_places
 from torchjoint.segments.learned.region_statistics import sum_by
 
 #: A region of fewer points is small. The first number is for clouds alone, and for masks, of which networks leave such
@@ -45,13 +45,9 @@ def merges_by_contact(
         leaves = is_small[first] & (first != second)
         if not leaves.any():
             return torch.cat(merges, 1)
-        pair, row = torch.unique(first[leaves] * num_regions + second[leaves], return_inverse=True)
-        num_edges = sum_by(row, count[leaves], len(pair))
-        one, other = pair // num_regions, pair % num_regions
-        most = torch.zeros(num_regions, dtype=torch.int64).scatter_reduce_(0, one, num_edges, "amax")
-        is_most = num_edges == most[one]
-        chosen = torch.full((num_regions,), num_regions).scatter_reduce_(0, one[is_most], other[is_most], "amin")
-        regions = torch.nonzero(chosen < num_regions).squeeze(1)
+        one, other, num_edges = counted_pairs(first[leaves], second[leaves], count[leaves])
+        chosen, _ = best_of_groups(one, other, num_edges, num_regions)
+        regions = torch.nonzero(chosen >= 0).squeeze(1)
         # two that choose each other merge once
         kept = (chosen[chosen[regions]] != regions) | (regions < chosen[regions])
         joined = torch.stack([regions, chosen[regions]])[:, kept]

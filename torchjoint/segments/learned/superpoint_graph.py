@@ -12,7 +12,8 @@ from torch import Tensor
 
 from torchjoint.cloud.edge_weights import EDGES
 from torchjoint.ops.internal import WEIGHT_UNIT
-from torchjoint.runtime.groups import members_of_groups
+from torchjoint.runtime.groups import counted_pairs, members_of_groups
+from torchjoint.runtime.memory import give_back
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene.masks import Masks
 from torchjoint.segments.learned.boundaries import Boundaries
@@ -26,6 +27,12 @@ from torchjoint.views.visibility import Visible
 MANY_POINTS = 400_000
 
 
+def give_back_much(num_points: int) -> None:
+    """Returns free memory to the system in the course of step 6, if the cloud is large."""
+    if num_points > MANY_POINTS:
+        give_back()
+
+
 class MaskCounts(NamedTuple):
     """How many points of each superpoint lie in each mask. All M masks of all frames are numbered together."""
 
@@ -36,10 +43,9 @@ class MaskCounts(NamedTuple):
 
     def of_regions(self, of_superpoint: Tensor) -> tuple[Tensor, Tensor]:
         """`in_mask` and `in_frame` of regions instead of superpoints; `of_superpoint` [P] int64: the region of each."""
-        (superpoint, mask, in_mask), (seen_superpoint, frame, in_frame) = self.in_mask, self.in_frame
-        return counted(of_superpoint[superpoint], mask, in_mask), counted(
-            of_superpoint[seen_superpoint], frame, in_frame
-        )
+        rows = (self.in_mask, self.in_frame)
+        in_mask, in_frame = (counted_pairs(of_superpoint[superpoint], key, count) for superpoint, key, count in rows)
+        return in_mask, in_frame
 
 
 def masks_of_superpoints(
@@ -89,19 +95,21 @@ def _count(
     of_superpoint, num_seen = torch.unique(there, return_counts=True)
     in_frame = torch.stack([of_superpoint, torch.full_like(of_superpoint, frame), num_seen])
     atom = masks.atom[visible.row[chosen], visible.column[chosen]].long()
-    key, count = torch.unique(there * masks.num_atoms + atom, return_counts=True)
+    region, atom, count = counted_pairs(there, atom)
     # Each atom counts for all masks in which it lies.
     atoms, mask = masks.pairs[:, torch.argsort(masks.pairs[0], stable=True)]
-    row, member = members_of_groups(torch.bincount(atoms, minlength=masks.num_atoms), key % masks.num_atoms)
-    return counted(key[row] // masks.num_atoms, mask[member], count[row]), in_frame, masks.scores, frame
+    row, member = members_of_groups(torch.bincount(atoms, minlength=masks.num_atoms), atom)
+    return counted_pairs(region[row], mask[member], count[row]), in_frame, masks.scores, frame
 
 
-def counted(region: Tensor, key: Tensor, count: Tensor) -> Tensor:
-    """Sorted rows [3, K] of (region, key, count); counts with equal region and key are added."""
-    num_keys = int(key.max()) + 1 if key.numel() else 1
-    pair, inverse = torch.unique(region * num_keys + key, return_inverse=True)
-    total = torch.zeros_like(pair).index_add_(0, inverse, count)
-    return torch.stack([pair // num_keys, pair % num_keys, total])
+def pairs_in_one_group(member: Tensor, group: Tensor, num_members: int) -> Tensor:
+    """Pairs of members [K] that are in one group [K] together: [2, B] int64, a < b, ascending."""
+    order = torch.argsort(group, stable=True)
+    member, group = member[order], group[order]
+    first, second = members_of_groups(torch.bincount(group), group)  # each member meets all of its group
+    one, other = member[first], member[second]
+    key = torch.unique((one * num_members + other)[one < other])
+    return torch.stack([key // num_members, key % num_members])
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ be part of a boundary, so only these are measured.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -19,14 +20,13 @@ from torchjoint.cloud.normals import angle_between, dot, is_convex, length, rows
 from torchjoint.cloud.scales import Scales
 from torchjoint.images.boundary import to_lab
 from torchjoint.images.segmenter import brightened
-from torchjoint.runtime.memory import give_back
 from torchjoint.runtime.threads import all_threads
 from torchjoint.segments.learned.boundaries import Boundaries
 from torchjoint.segments.learned.images import image_colors, segments_of_superpoints, without_dropouts
 from torchjoint.segments.learned.masks import cut_by_masks
 from torchjoint.segments.learned.occluded_surfaces import find_occlusions
 from torchjoint.segments.learned.region_statistics import InnerEdges, Surface, statistics_of_points
-from torchjoint.segments.learned.superpoint_graph import MANY_POINTS, SuperpointGraph, masks_of_superpoints, pairs_of
+from torchjoint.segments.learned.superpoint_graph import SuperpointGraph, give_back_much, masks_of_superpoints, pairs_of
 from torchjoint.segments.planes import (
     SMOOTH_REGIONS,
     Planes,
@@ -83,7 +83,8 @@ def measure_colors(graph: PointGraph, observations: Observations) -> Colors:
     if colors is None:
         return Colors()
     lab = _to_lab(brightened(colors))
-    step = _color_steps(lab, graph.edge_index)
+    # Distances [E] of the Lab colours of the two ends of each edge.
+    step = map_edges(lambda ends: length(rows_of(lab, ends[0]) - rows_of(lab, ends[1])), graph.edge_index)
     known = step[step.isfinite()]
     return Colors(lab, step, float(known.median()) if len(known) else 0.0)
 
@@ -99,6 +100,7 @@ def build_superpoint_graph(
         evidence: of the images.
         colors: of these points, if they are known already.
     """
+    give_back_much(graph.num_points)
     normals, oriented = orient_normals(graph, evidence.facing)
     planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
     seen = evidence.observations
@@ -113,8 +115,7 @@ def build_superpoint_graph(
     superpoint = cut_by_masks(superpoint, graph.edge_index, seen)
     across, pairs, pair = pairs_of(superpoint, graph.edge_index)
     measures = _geometry(graph, graph.edge_index[:, across], normals, oriented, planes, scales)
-    if graph.num_points > MANY_POINTS:
-        give_back()  # many blocks are free now
+    give_back_much(graph.num_points)
     if color_step is not None:
         measures["color_step"] = color_step[across]
     if r is not None and observations:
@@ -140,13 +141,14 @@ def build_superpoint_graph(
 
 def _inner_edges(
     superpoint: Tensor, edge_index: Tensor, normals: Tensor, oriented: Tensor, color_step: Tensor | None
-) -> InnerEdges:
+) -> Iterator[InnerEdges]:
     """The edges inside the superpoints [N], with the angles between normals [N, 3], and colour steps [E]."""
-    i, j = edge_index
-    inner = torch.nonzero(superpoint[i] == superpoint[j]).squeeze(1)
-    i, j = i[inner], j[inner]
-    turn = angle_between(rows_of(normals, i), rows_of(normals, j), oriented[i] & oriented[j])
-    return InnerEdges(superpoint[i], turn * RIGHT_ANGLES, None if color_step is None else color_step[inner])
+    for block, (i, j) in enumerate(edge_index.split(EDGES, 1)):
+        inner = torch.nonzero(superpoint[i] == superpoint[j]).squeeze(1)
+        i, j = i[inner], j[inner]
+        turn = angle_between(rows_of(normals, i), rows_of(normals, j), oriented[i] & oriented[j])
+        step = None if color_step is None else color_step[EDGES * block :][inner]
+        yield InnerEdges(superpoint[i], turn * RIGHT_ANGLES, step)
 
 
 def _edge_costs(crease: Tensor, r: Tensor | None, color_step: Tensor | None, median: float | None) -> Tensor:
@@ -197,8 +199,3 @@ def _geometry(
 def _to_lab(colors: Tensor) -> Tensor:
     """Colours [N, 3] RGB in [0, 1] -> [N, 3] Lab."""
     return to_lab(colors.T[None, :, :, None].contiguous())[0, :, :, 0].T
-
-
-def _color_steps(lab: Tensor, edge_index: Tensor) -> Tensor:
-    """Distances [E] of the Lab colours of the two ends of each edge."""
-    return map_edges(lambda ends: length(rows_of(lab, ends[0]) - rows_of(lab, ends[1])), edge_index)

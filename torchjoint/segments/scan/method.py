@@ -32,10 +32,11 @@ GROUND_GAP = 0.6
 #: The part of the allowed gap that grows with range must span at least this many steps between rings.
 RINGS_IN_GAP = 4
 
+#: The rings of a scan; None: it has none; "search": they are searched for.
+GivenRings = Rings | Literal["search"] | None
 
-def segment_scan(
-    points: Tensor, config: ScanConfig | None = None, rings: Rings | Literal["search"] | None = "search"
-) -> Tensor:
+
+def segment_scan(points: Tensor, config: ScanConfig | None = None, rings: GivenRings = "search") -> Tensor:
     """Segments one scan of a LiDAR, without colours or normals.
 
     They are the default level of :func:`segment_levels`.
@@ -56,10 +57,7 @@ def segment_scan(
 
 
 def segment_levels(
-    points: Tensor,
-    config: ScanConfig | None = None,
-    rings: Rings | Literal["search"] | None = "search",
-    model: Path | None = None,
+    points: Tensor, config: ScanConfig | None = None, rings: GivenRings = "search", model: Path | None = None
 ) -> Hierarchy:
     """The segments of one scan of a LiDAR at all levels.
 
@@ -77,15 +75,13 @@ def segment_levels(
         return levels_of(tree, falls_apart(tree, gain_of_parts(tree, load_scan_model(model))), len(points))
 
 
-def scan_tree(points: Tensor, config: ScanConfig, rings: Rings | Literal["search"] | None) -> Tree:
+def scan_tree(points: Tensor, config: ScanConfig, rings: GivenRings) -> Tree:
     """The tree of all points that are not on the ground; arguments and errors are those of :func:`segment_scan`."""
     gaps, on_ground, height = scan_gaps(points, config, rings)
     return grow_tree(gaps, ~on_ground, points.float(), height, config.min_size)
 
 
-def scan_gaps(
-    points: Tensor, config: ScanConfig, rings: Rings | Literal["search"] | None
-) -> tuple[Gaps, Tensor, Tensor]:
+def scan_gaps(points: Tensor, config: ScanConfig, rings: GivenRings) -> tuple[Gaps, Tensor, Tensor]:
     """The points over the profiles of the ground, with their neighbours; [N] bool, all points on the ground; heights.
 
     Heights [N] float64 are those above the profiles. Arguments and errors are those of :func:`segment_scan`.
@@ -133,16 +129,12 @@ def with_near_rings(points: Tensor, seen: Directions, rings: Rings | None, confi
 def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
     """The points alone, in the given coordinates, because the sensor is at the origin. Merges only copies."""
     world = LocalFrame.of_world()
-    local, of_cloud = local_cloud(cloud.without_constant_colors(), world)
+    local, of_cloud = local_cloud(cloud.without_constants(), world)
     return build_edgeless_graph(local).of(world, of_cloud)
 
 
 def segment(
-    graph: PointGraph,
-    evidence: Evidence,
-    config: Config,
-    rings: Rings | Literal["search"] | None = "search",
-    model: Path | None = None,
+    graph: PointGraph, evidence: Evidence, config: Config, rings: GivenRings = "search", model: Path | None = None
 ) -> Hierarchy:
     """The ground and the objects on it at all levels; `rings` and `model` as for :func:`segment_levels`."""
     return segment_levels(graph.points, config.scan, rings, model)
