@@ -210,6 +210,25 @@ def test_a_page_whose_camera_never_changes_sees_the_whole_cloud(out):
     viewer.stop()
 
 
+def test_a_page_on_its_way_to_a_photo_is_not_fitted_again(out):
+    """The page tells of its old place once more, in a canvas that has changed, after the server has moved it."""
+    viewer = opened(out, 8990)
+    camera = SimpleNamespace(aspect=1.5, position=np.ones(3), wxyz=np.array([1.0, 0, 0, 0]), on_update=lambda _: None)
+    scene = SimpleNamespace(set_background_image=lambda _: None)
+    page = SimpleNamespace(client_id=7, camera=camera, atomic=nullcontext, scene=scene)
+    viewer._on_camera(page)
+    whole = camera.position, camera.wxyz
+    viewer._stand_at(0, page)
+    there = camera.position, camera.wxyz
+    camera.position, camera.wxyz, camera.aspect = *whole, 1.6
+    viewer._on_camera(page)
+    assert camera.position is whole[0]
+    camera.position, camera.wxyz = there
+    viewer._on_camera(page)
+    assert viewer._eyes._arrived == {7}
+    viewer.stop()
+
+
 def test_without_images_there_are_no_masks_to_export(out):
     from torchjoint.viewer.app import Viewer
 

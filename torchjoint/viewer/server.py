@@ -136,9 +136,9 @@ class Eyes:
         """Takes note of where a page looks from now; whether it has left the photo at which it stood."""
         fitted_at, aspect = self._fitted.get(client.client_id, (client.camera.position, 0.0))
         is_there = np.abs(fitted_at - client.camera.position).max() < 1e-3 * self._distance
-        if is_there and aspect != client.camera.aspect:  # nobody has turned it
-            self.show_all(client, scene)
         stands = self._standing.get(client.client_id)
+        if stands is None and is_there and aspect != client.camera.aspect:  # nobody has turned it
+            self.show_all(client, scene)
         if stands is not None and abs(stands @ client.camera.wxyz) > 0.9999:
             self._arrived.add(client.client_id)  # before that, a page may still tell where it was
         elif stands is not None and client.client_id in self._arrived:
