@@ -98,7 +98,7 @@ def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch, n
     monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
     first = tj.load_scene(recording, voxel_size=0.05)
     (kept,) = (tmp_path / "cache" / "clouds").iterdir()
-    monkeypatch.setattr("torchjoint.datasets.fusion.fuse_cloud", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("torchjoint.datasets.fusion._fuse", lambda *_, **__: 1 / 0)
     again = tj.load_scene(recording, voxel_size=0.05)
     for scene in (first, again):
         assert scene.points.dtype == fused.points.dtype

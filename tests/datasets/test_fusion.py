@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import torchjoint as tj
 from torchjoint.datasets.formats.folder import read_frames
-from torchjoint.datasets.fusion import _residual, warn_of_poses
+from torchjoint.datasets.fusion import _residual, fuse_or_recall, warn_of_poses
 from torchjoint.scene.frame import PoseDoubt
 
 TURN = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
@@ -60,6 +60,17 @@ def test_poses_that_fit_in_no_way(scene_of):
 
     with pytest.warns(PoseDoubt, match="differ by .*%.*: wrong poses, order of quaternions, intrinsics or units"):
         warn_of_poses(with_poses(scene_of(0).scene.frames, reordered))
+
+
+def test_what_looks_wrong_is_told_of_a_kept_cloud_too(scene_of, tmp_path, monkeypatch):
+    """The cloud itself fits its poses, however wrong they are: no later check finds them."""
+    monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
+    frames = with_poses(scene_of(0).scene.frames, torch.linalg.inv)
+    (recording := tmp_path / "recording").mkdir()
+    for _ in range(2):
+        with pytest.warns(tj.PoseWarning, match=rf"^{re.escape(str(recording))}: the poses look inverted"):
+            fuse_or_recall(recording, frames, 0.05, False)
+    assert len([*(tmp_path / "cache" / "clouds").iterdir()]) == 1
 
 
 @pytest.mark.parametrize(

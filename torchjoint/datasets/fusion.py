@@ -8,10 +8,11 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -79,11 +80,18 @@ def fuse_cloud(
     Warns:
         PoseWarning: the poses do not fit, and another convention does.
     """
+    fused = _fuse(frames, voxel_size, progress, name)
+    return fused["points"], fused["colors"], fused["without"]
+
+
+def _fuse(frames: Sequence[Frame], voxel_size: float, progress: bool | None, name: str) -> dict[str, Any]:
+    """What :func:`fuse_cloud` returns, and what it has told of the poses, by the name of the warning's class."""
     if not 1e-4 <= voxel_size <= 10:
         raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
     try:
         check_unit(frames)
-        warn_of_poses(frames, name)
+        doubts = _doubts(frames)
+        _tell(doubts, name)
         origin = volume_origin(frames, voxel_size)
         volume = Volume(voxel_size, MAX_DEPTH)
         fused = 0
@@ -98,7 +106,7 @@ def fuse_cloud(
         points, colors = surface_cloud(volume, origin)
         if len(points) == 0:
             raise ValueError(f"depth: the {fused} depth images give no surface; wrong poses?")
-        return points, colors, len(frames) - fused
+        return {"points": points, "colors": colors, "without": len(frames) - fused, **doubts}
     except KeyboardInterrupt as stop:  # the volume is only in memory
         raise KeyboardInterrupt("the cloud was being fused from depth; the next run fuses it from the start") from stop
 
@@ -167,9 +175,10 @@ def fuse_or_recall(
         file = folder / "clouds" / hashlib.sha256(key.encode()).hexdigest()
         with suppress(OSError, ValueError):  # it is not there, or damaged: it is written anew
             kept = read_values(file)
-    if not kept:
-        fused = fuse_cloud(frames, voxel_size, progress, str(path))
-        kept = dict(zip(("points", "colors", "without"), fused, strict=True))
+    if kept:
+        _tell(kept, str(path))
+    else:
+        kept = _fuse(frames, voxel_size, progress, str(path))
         with suppress(OSError):  # the disk is full, or there is no permission: the cloud is fused again next time
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
@@ -180,7 +189,6 @@ def fuse_or_recall(
     return kept["points"], kept["colors"]
 
 
-@one_thread_per_operation()
 def warn_of_poses(frames: Sequence[Frame], name: str = "frames") -> None:
     """Compares the depth images of some pairs of frames, at the given poses and at the poses read otherwise.
 
@@ -188,22 +196,35 @@ def warn_of_poses(frames: Sequence[Frame], name: str = "frames") -> None:
         PoseWarning: the poses do not fit, and another convention does; or positions have another unit than depth.
         PoseDoubt: the poses do not fit, and nothing else does.
     """
+    _tell(_doubts(frames), name)
+
+
+def _tell(doubts: Mapping[str, Any], name: str) -> None:
+    for kind in (PoseWarning, PoseDoubt):
+        if kind.__name__ in doubts:
+            warnings.warn(f"{name}: {doubts[kind.__name__]}", kind, stacklevel=4)
+
+
+@one_thread_per_operation()
+def _doubts(frames: Sequence[Frame]) -> dict[str, str]:
+    """What :func:`warn_of_poses` tells, by the name of the warning's class."""
     pairs = _pairs(frames)
     residuals = [_residuals(one, other) for one, other in pairs]
     if not residuals:
-        return
+        return {}
     given, *others = torch.tensor(residuals, dtype=torch.float64).nan_to_num(math.inf).median(dim=0).values.tolist()
     best, kind = min(zip(others, KINDS, strict=True))
+    said = f"differ by {given:.1%}" if math.isfinite(given) else "have nothing in common"
     if given > AGREEING and best < min(AGREEING, BETTER * given):
-        said = f"differ by {given:.1%}" if math.isfinite(given) else "have nothing in common"
         told = f"depth images of neighbouring frames {said} as given, by {best:.1%} read like this"
-        warnings.warn(f"{name}: {kind} ({told})", PoseWarning, stacklevel=2)
-    elif math.isinf(given) and all(_are_apart(one, other) for one, other in pairs):
-        told = f"{name}: the cameras of neighbouring frames are farther apart than their depth images reach"
-        warnings.warn(f"{told}: are positions in metres, as depth is, not in millimetres?", PoseWarning, stacklevel=2)
-    elif AGREEING < given < math.inf:  # frames that are far apart may differ, too
-        told = f"{name}: depth images of neighbouring frames differ by {given:.1%} (median)"
-        warnings.warn(f"{told}: wrong poses, order of quaternions, intrinsics or units?", PoseDoubt, stacklevel=2)
+        return {PoseWarning.__name__: f"{kind} ({told})"}
+    if math.isinf(given) and all(_are_apart(one, other) for one, other in pairs):
+        told = "the cameras of neighbouring frames are farther apart than their depth images reach"
+        return {PoseWarning.__name__: f"{told}: are positions in metres, as depth is, not in millimetres?"}
+    if AGREEING < given < math.inf:  # frames that are far apart may differ, too
+        told = f"depth images of neighbouring frames {said} (median)"
+        return {PoseDoubt.__name__: f"{told}: wrong poses, order of quaternions, intrinsics or units?"}
+    return {}
 
 
 def _are_apart(one: Frame, other: Frame) -> bool:

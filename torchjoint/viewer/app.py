@@ -19,7 +19,7 @@ from torchjoint.results.shared_edits import save_edits
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.messages import printable
 from torchjoint.viewer.cloud import CloudView, pick_point
-from torchjoint.viewer.html import PREFIX, found_html, image_html, note_html, panel_html, table_html
+from torchjoint.viewer.html import COLUMNS, PREFIX, found_html, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.measures import hues_of_keys
 from torchjoint.viewer.model import Model, export_selected
 from torchjoint.viewer.painting import RelationLines, painted, point_colors
@@ -179,7 +179,7 @@ class Viewer:
 
         # What was clicked is read at once: while another action works, the next click may change it.
         panel.bridge.on_update(lambda event: self._guarded(self._on_event, panel.bridge.value, event.client))
-        panel.mode.on_update(changes(lambda: setattr(self.model, "mode", panel.mode.value)))
+        panel.mode.on_update(changes(lambda: self.model.color_by(panel.mode.value)))
         panel.name.on_update(self._on_typed)
         panel.relations.on_update(then(self._draw_relations))
         panel.search.on_update(then(self._draw_table))
@@ -241,7 +241,7 @@ class Viewer:
 
     def _on_event(self, event: str, client: Any) -> None:
         kind, *values = event.removeprefix(PREFIX).split()[:-1] or [""]  # the last word is the time
-        if kind == "sort":
+        if kind == "sort" and values[0] in COLUMNS:
             self._order = values[0]
             self._draw_table()
         elif kind == "dark":

@@ -128,6 +128,12 @@ class Model:
         modes: tuple[Mode, ...] = ("segments", "colours", "confidence", "initial", "truth")
         return tuple(mode for mode in modes if has.get(mode, True))
 
+    def color_by(self, mode: Mode) -> None:
+        """Colours the points in another way."""
+        if mode not in self.modes:
+            raise ValueError(f"colours: expected one of {', '.join(self.modes)}, got {mode}")
+        self.mode = mode
+
     def key(self, segment: int) -> int:
         """The displayed id of a segment."""
         return int(self.measures.ids[segment])

@@ -44,6 +44,15 @@ def test_a_file_of_ros_2_without_its_folder(storage, tmp_path):
     assert torch.equal(scene.frames[1].image, torch.from_numpy(ros.colors(1)[..., ::-1].copy()).permute(2, 0, 1) / 255)
 
 
+def test_a_clock_that_was_set_back_is_told(tmp_path):
+    """The images after it would take the depth and the poses of those before it."""
+    messages = [*ros.messages(), ("/camera/image_raw", 3.0, ros.image(3.0, ros.colors(0), "bgr8"))]
+    later = [("/camera/image_raw", 3.1, ros.image(0.048, ros.colors(1), "bgr8"))]
+    told = "/camera/image_raw: the time of the headers goes back by 3.0 s between two messages: images, depth and poses"
+    with pytest.warns(UserWarning, match=told):
+        tj.load_scene(ros.record(tmp_path / "walk", messages + later), fuse=False)
+
+
 def test_scans_and_odometry(tmp_path):
     bag = samples.write("ros_points", tmp_path / "bag")
     scene = tj.load_scene(bag, voxel_size=1e-4)

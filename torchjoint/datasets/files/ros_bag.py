@@ -32,6 +32,8 @@ from torchjoint.runtime.messages import needed_for
 SUFFIXES = (".bag", ".mcap", ".db3")
 #: Bytes that are unpacked at a time: lz4 allocates so many in advance.
 STEP = 1 << 24
+#: Messages of a topic come in the order of their headers' times up to this, seconds, unless a clock was set back.
+SET_BACK = 1.0
 
 
 class Stamp(NamedTuple):
@@ -87,19 +89,27 @@ class Bag:
 
         Raises:
             ValueError: they have different frames, so one pose and one camera do not fit all.
+
+        Warns:
+            UserWarning: the clock was set back between two of them.
         """
         found: dict[float, Stamp] = {}
+        before = back = 0.0
         frames = set()
         places: Counter[int] = Counter()
         with self._opened() as reader:
             for _, recorded, data in reader.messages(_connections(reader, topic)):
                 time, frame = _header(data, reader.is2)
                 frames.add(frame)
+                before, back = time, max(back, before - time)
                 found.setdefault(time, Stamp(time, recorded, places[recorded]))
                 places[recorded] += 1
         if len(frames) > 1:
             told = f"got {', '.join(map(repr, sorted(frames)[:5]))}; write a topic for each"
             raise ValueError(f"{self.path}: {topic}: expected messages of one frame (frame_id), {told}")
+        if back > SET_BACK:
+            told = f"{self.path}: {topic}: the time of the headers goes back by {back:.1f} s between two messages"
+            warnings.warn(f"{told}: images, depth and poses are matched by it, perhaps wrongly", stacklevel=3)
         return [found[time] for time in sorted(found)]
 
     def read(self, topic: str, stamp: Stamp) -> Any:
