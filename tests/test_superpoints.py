@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from itertools import pairwise
 from typing import get_type_hints
 
 import numpy as np
@@ -168,6 +169,23 @@ def test_normals_that_are_given_are_used():
     outwards = torch.tensor([[0.0, 0, 1], [0, 0, 1], [-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0]])[truth]
     labels = tj.superpoints(points, normals=5 * outwards, convex_factor=1.0)
     assert purity(labels, truth) == 1
+
+
+def test_pieces_join_by_border_and_size():
+    # Turns of 0.2 and 0.4 rad along a line: 0.2 x 1 x 1 / 2 = 0.1, then 0.4 x 2 x 1 / 3 = 0.267.
+    angle = torch.tensor([0.0, 0.2, 0.6])
+    normals = torch.stack([angle.sin(), torch.zeros(3), angle.cos()], 1)
+    given = {"normals": normals, "edges": torch.tensor([[0, 1], [1, 2]]), "convex_factor": 1, "scale": 0, "min_size": 0}
+    for joining, expected in ((0, [0, 1, 2]), (0.09, [0, 1, 2]), (0.11, [0, 0, 1]), (0.26, [0, 0, 1]), (0.27, [0] * 3)):
+        assert tj.superpoints(torch.rand(3, 3), joining=joining, **given).tolist() == expected
+
+
+def test_more_joining_gives_larger_superpoints():
+    points = tj.synthetic.make_scene(0, num_views=2, num_points=4000, height=60, width=80).scene.points
+    finer = [tj.superpoints(points, scale=0.1, joining=joining) for joining in (0, 2, 8, 1000)]
+    assert [len(labels.unique()) for labels in finer] == sorted({len(one.unique()) for one in finer}, reverse=True)
+    for fine, coarse in pairwise(finer):  # nested: the same joins, and more of them
+        assert len(torch.unique(torch.stack([fine, coarse]), dim=1)[0]) == len(fine.unique())
 
 
 def test_edges_of_ones_own():

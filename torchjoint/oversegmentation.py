@@ -44,6 +44,7 @@ class SuperpointsParameters(TypedDict, total=False):
     color_weight: float
     scale: float
     min_size: int
+    joining: float
 
 
 def superpoints(
@@ -63,7 +64,8 @@ def superpoints(
 
     Builds a graph of nearest neighbours (or takes the edges of a mesh, or your own edges), weights each edge by how
     much the surface turns along it, and segments the graph with the algorithm of Felzenszwalb and Huttenlocher
-    (:func:`torchjoint.ops.felzenszwalb`). Only `points` is required; all other inputs are optional.
+    (:func:`torchjoint.ops.felzenszwalb`). With `joining`, its pieces then join
+    (:func:`torchjoint.ops.merge_regions`). Only `points` is required; all other inputs are optional.
 
     Fitted normals have an arbitrary sign. So the angle between two of them is at most 90 degrees, and convex edges have
     the same weight as concave ones. `normals`, `faces` or a `viewpoint` give oriented normals; then the weights differ.
@@ -92,7 +94,7 @@ def superpoints(
             * ``normal_neighbors``: the neighbours to which a normal is fitted.
             * ``weight``, ``angle_weight``, ``convex_factor``: how much a turn of the surface weighs.
             * ``distance_weight``, ``color_weight``: how much the distance and the colours of two points weigh.
-            * ``scale``, ``min_size``: how large superpoints become.
+            * ``scale``, ``min_size``, ``joining``: how large superpoints become.
 
     Returns:
         [N] int64 labels 0, 1, 2, ... in the order of their first points; -1 = left out. The labels of a cloud continue
@@ -216,6 +218,10 @@ def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     all_oriented = torch.full((len(cloud.points),), oriented)
     weights = geometric_weights(cloud.points, edges, normals, all_oriented, terms, cloud.colors)
     labels = ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
+    if config.joining:
+        between = labels[edges[0]] != labels[edges[1]]
+        ends, costs = labels[edges[:, between]], weights[between].clamp_(max=1024)
+        labels = ops.merge_regions(ends, costs, labels.bincount(), config.joining, by_size=True)[labels]
     return labels if of_point is None else labels[of_point]
 
 

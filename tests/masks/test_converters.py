@@ -91,6 +91,10 @@ class TestLabelsAndStacks:
         with pytest.raises(ValueError, match=message):
             tj.masks.from_stack(STACK, scores)
 
+    def test_a_name_for_each_mask(self):
+        with pytest.raises(ValueError, match="names: expected one for each of 2 masks, got 1"):
+            tj.masks.from_stack(STACK, None, ["cup"])
+
 
 class TestSam:
     def test_arrays(self):

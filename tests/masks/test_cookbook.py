@@ -71,7 +71,8 @@ class Yolo:
             return [SimpleNamespace(masks=None, boxes=SimpleNamespace(conf=torch.zeros(0)))]
         stack = masks_in(image).float()
         boxes = SimpleNamespace(conf=torch.tensor([0.45, 0.45]), cls=torch.tensor([56.0, 0.0]))
-        return [SimpleNamespace(masks=SimpleNamespace(data=stack, orig_shape=SIZE), boxes=boxes)]
+        names = {0: "person", 56: "chair"}
+        return [SimpleNamespace(masks=SimpleNamespace(data=stack, orig_shape=SIZE), boxes=boxes, names=names)]
 
 
 STAND_INS = {
@@ -117,6 +118,7 @@ def test_a_recipe_writes_masks_for_the_folder(scene, monkeypatch, name):
     assert first.covered().sum() == 6 * 4 + 3 * 4
     assert first.scores.tolist() == pytest.approx([0.55 if name == "CropFormer" else 0.45] * 2)
     assert len(second) == (0 if name == "YOLO-seg" else 2)
+    assert first.names == (("chair", "person") if name == "YOLO-seg" else ())
 
 
 def test_the_lines_of_the_readme(monkeypatch, tmp_path):

@@ -45,13 +45,16 @@ def random_regions(seed: int, num_regions: int, num_edges: int) -> tuple[Tensor,
     levels=st.sampled_from([1, 2, 3, 4, 1000]),
     threshold=st.sampled_from([0.0, 0.2, 0.5, 0.75, 1.0, math.inf]),
     min_size=st.sampled_from([0, 1, 3, 8, 1000]),
+    by_size=st.booleans(),
 )
-def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, threshold: float, min_size: int) -> None:
+def test_the_twin(
+    seed: int, num_regions: int, num_edges: int, levels: int, threshold: float, min_size: int, by_size: bool
+) -> None:
     """With few levels of costs nearly all borders tie at one time or another."""
     edges, size = random_regions(seed, num_regions, num_edges)
     cost = torch.randint(levels, (num_edges,), generator=torch.Generator().manual_seed(seed)) / max(levels - 1, 1)
-    got = merge_regions(edges, cost, size, threshold, min_size)
-    assert got.tolist() == merge_regions_reference(edges, cost, size, threshold, min_size).tolist()
+    got = merge_regions(edges, cost, size, threshold, min_size, by_size=by_size)
+    assert got.tolist() == merge_regions_reference(edges, cost, size, threshold, min_size, by_size=by_size).tolist()
 
 
 @few_and_many(
@@ -133,6 +136,14 @@ def test_borders_with_a_third_region_become_one() -> None:
     assert merged(pairs, cost, 0.4) == [0, 0, 1]
     assert merged(pairs, cost, 0.51) == [0, 0, 0]
     assert merged([(0, 2), (1, 2), (1, 2)], [0.1, 0.7, 0.7], 0.4) == [0, 1, 0]
+
+
+def test_sizes_count_in_the_cost() -> None:
+    # 0.25 x 30 x 6 / 36 = 1.25, and 0.125 x 30 x 15 / 45 = 1.25, too, which is 0.125 x 36 x 15 / 51 = 1.32 after it.
+    edges, cost, size = edges_of((0, 1), (0, 2)), torch.tensor([0.25, 0.125]), torch.tensor([30, 6, 15])
+    for threshold, expected in ((1.24, [0, 1, 2]), (1.25, [0, 0, 1]), (1.3, [0, 0, 1]), (1.33, [0, 0, 0])):
+        assert merge_regions(edges, cost, size, threshold, by_size=True).tolist() == expected
+    assert merge_regions(edges, cost, size, 0.2).tolist() == [0, 1, 0]  # by the mean alone
 
 
 def test_a_self_loop_is_no_border() -> None:

@@ -13,6 +13,7 @@ from torchjoint.ops import merge_regions
 
 EXAMPLE: dict[str, Any] = {
     "edge_index": EDGES, "cost": VALUES, "size": torch.tensor([9, 1, 2, 3]), "threshold": 0.5, "min_size": 2,
+    "by_size": True,
 }  # fmt: skip
 ERRORS = [
     ({"edge_index": EDGES.int()}, TypeError, "edge_index: expected dtype torch.int64, got torch.int32"),
@@ -44,7 +45,7 @@ REFUSED = [
 
 
 def merge_regions_reference(
-    edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int = 0
+    edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int = 0, *, by_size: bool = False
 ) -> Tensor:
     """What :func:`torchjoint.ops.merge_regions` computes; the arguments are not checked.
 
@@ -66,6 +67,10 @@ def merge_regions_reference(
     def total(region: int) -> int:
         return sum(int(size[member]) for member in group[region])
 
+    def cost_of(sides: frozenset[int], is_small: bool) -> float:
+        a, b = map(total, sides)
+        return mean(sides) * (a * b / max(a + b, 1) if by_size and not is_small else 1)
+
     def merge(sides: frozenset[int]) -> None:
         kept, given = sorted(sides)
         group[kept] += group[given]
@@ -81,11 +86,15 @@ def merge_regions_reference(
             may_merge = [
                 sides
                 for sides in costs
-                if (any(total(region) < min_size for region in sides) if is_small else mean(sides) <= threshold)
+                if (
+                    any(total(region) < min_size for region in sides)
+                    if is_small
+                    else cost_of(sides, False) <= threshold
+                )
             ]
             if not may_merge:
                 break
-            merge(min(may_merge, key=lambda sides: (mean(sides), number[sides])))
+            merge(min(may_merge, key=lambda sides: (cost_of(sides, is_small), number[sides])))
     labels = torch.empty(len(size), dtype=torch.int64)
     for label, members in enumerate(members for members in group if members):
         labels[members] = label

@@ -53,6 +53,10 @@ class SuperpointsConfig(Stage):
         sensible="0.1-5",
     )  # fmt: skip
     min_size: int = parameter(20, "smaller superpoints join a neighbour", unit="points", low=0)
+    joining: float = parameter(
+        0.0, "then superpoints of a and b points join while the mean weight of their border x ab/(a + b) is at most "
+        "this; 0: never", unit="weight x points", low=0, sensible="0, or 5-50 with scale 0.1",
+    )  # fmt: skip
 
     @classmethod
     def from_preset(cls, name: str) -> SuperpointsConfig:

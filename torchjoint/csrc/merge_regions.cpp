@@ -42,6 +42,25 @@ class Merging {
                         [&](int32_t n) { return join(graph.border(n), groups.root.data()); });
   }
 
+  // Merges by the mean cost times a b / (a + b), where a and b are the sizes (0 if both are 0), as in Ward's criterion.
+  void merge_by_size(double threshold) {
+    RegionAdjacencyGraph graph(num_regions_);
+    for (int64_t e = 0; e < num_edges_; ++e) {
+      if (first(e) != second(e)) graph.add(static_cast<int32_t>(first(e)), static_cast<int32_t>(second(e)), cost_[e]);
+    }
+    const auto cost = [&](const RegionBoundary& border) {
+      const auto a = static_cast<double>(merged_.size(border.region[0]));
+      const auto b = static_cast<double>(merged_.size(border.region[1]));
+      return border.mean() * (a * b / std::max(a + b, 1.0));
+    };
+    graph.merge_weakest([&](const RegionBoundary& border) { return cost(border) <= threshold; },
+                        [&](int32_t n) {
+                          merged_.join(graph.border(n).region[0], graph.border(n).region[1]);
+                          return true;
+                        },
+                        cost);
+  }
+
   // Merges the regions of fewer than `min_size` points. Boundaries between two larger regions are never merged.
   void join_small(int64_t min_size) {
     const auto [group, root] = current_groups();
@@ -161,7 +180,7 @@ class Merging {
 };
 
 Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor& size, double threshold,
-                     int64_t min_size) {
+                     int64_t min_size, bool by_size) {
   const Tensor edges = checked_edge_index(edge_index);
   const int64_t num_edges = edges.size(1);
   const Tensor costs = checked_array(cost, ScalarType::Float, {num_edges}, "cost");
@@ -176,7 +195,7 @@ Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor&
   check(min_size >= 0, "min_size: expected a number >= 0, got ", min_size);
 
   Merging merging(edges.const_data_ptr<int64_t>(), costs.const_data_ptr<float>(), num_edges, sizes);
-  merging.merge_up_to(threshold * kUnit);
+  by_size ? merging.merge_by_size(threshold * kUnit) : merging.merge_up_to(threshold * kUnit);
   if (min_size > 0) merging.join_small(min_size);
   Tensor labels = torch::stable::new_empty(sizes, {num_regions}, ScalarType::Long);
   merging.label(labels.mutable_data_ptr<int64_t>());
@@ -185,7 +204,8 @@ Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor&
 
 }  // namespace
 
-TORCHJOINT_OPERATOR(merge_regions,
-                    "(Tensor edge_index, Tensor cost, Tensor size, float threshold, int min_size) -> Tensor");
+TORCHJOINT_OPERATOR(
+    merge_regions,
+    "(Tensor edge_index, Tensor cost, Tensor size, float threshold, int min_size, bool by_size) -> Tensor");
 
 }  // namespace torchjoint

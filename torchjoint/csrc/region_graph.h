@@ -1,5 +1,5 @@
 // A region adjacency graph: regions and the boundaries between them (`RegionBoundary`). Repeatedly merges the two regions with
-// the lowest mean boundary cost (average linkage).
+// the lowest mean boundary cost (average linkage), or another cost of boundaries.
 #pragma once
 
 #include "array.h"
@@ -25,6 +25,10 @@ struct RegionBoundary {
   int32_t first_part, last_part;  // list of the original boundaries that were joined into it
 
   double mean() const { return sum / static_cast<double>(count); }
+};
+
+struct MeanCost {
+  double operator()(const RegionBoundary& border) const { return border.mean(); }
 };
 
 // A map from pairs of regions a < b to numbers; no pair is ever removed. The first pairs of each region a lie beside each
@@ -161,33 +165,33 @@ class RegionAdjacencyGraph {
   }
 
   // Repeatedly merges the two regions of the weakest boundary with `may_merge(border)`, until there is none. `may_merge`
-  // of a boundary may change from false to true only when the boundary is joined with another one. `on_merge(number)` is
-  // called before each merge; if it returns false, the two regions do not merge. Afterwards `region` of a boundary holds
-  // the merged regions on its two sides.
-  template <typename MayMerge, typename OnMerge>
-  void merge_weakest(const MayMerge& may_merge, const OnMerge& on_merge) {
+  // of a boundary may change from false to true, and its cost may fall, only when the boundary is joined with another
+  // one. `on_merge(number)` is called before each merge; if it returns false, the two regions do not merge. Afterwards
+  // `region` of a boundary holds the merged regions on its two sides.
+  template <typename MayMerge, typename OnMerge, typename Cost = MeanCost>
+  void merge_weakest(const MayMerge& may_merge, const OnMerge& on_merge, const Cost& cost = {}) {
     if (is_gone_.empty()) list_borders();
     MergeQueue waiting;
     constexpr double kNever = std::numeric_limits<double>::infinity();
-    Array<double> turn(borders_.size());  // the mean with which each boundary is in the queue
+    Array<double> turn(borders_.size());  // the cost with which each boundary is in the queue
     const auto wait = [&](int32_t number) {
-      turn[number] = borders_[number].mean();
+      turn[number] = cost(borders_[number]);
       waiting.push(turn[number], number);
     };
     for (size_t number = 0; number < borders_.size(); ++number) {
       turn[number] = kNever;
       if (!is_gone_[number] && may_merge(borders_[number])) wait(static_cast<int32_t>(number));
     }
-    // A boundary whose mean rose is updated when it leaves the queue: most means change again before.
+    // A boundary whose cost rose is updated when it leaves the queue: most costs change again before.
     const auto on_join = [&](int32_t number) {
-      if (borders_[number].mean() < turn[number] && may_merge(borders_[number])) wait(number);
+      if (cost(borders_[number]) < turn[number] && may_merge(borders_[number])) wait(number);
     };
     while (!waiting.empty()) {
-      const auto [mean, number] = waiting.pop();
-      if (is_gone_[number] || mean != turn[number]) continue;  // an old entry of the queue
+      const auto [least, number] = waiting.pop();
+      if (is_gone_[number] || least != turn[number]) continue;  // an old entry of the queue
       turn[number] = kNever;
       if (!may_merge(borders_[number])) continue;
-      if (mean != borders_[number].mean()) {
+      if (least != cost(borders_[number])) {
         wait(number);
         continue;
       }

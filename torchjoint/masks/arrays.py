@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -54,12 +56,13 @@ def as_scores(scores: Any, name: str) -> Tensor | None:
 
 
 @on_cpu()
-def from_stack(stack: Any, scores: Any = None) -> Masks:
+def from_stack(stack: Any, scores: Any = None, names: Sequence[str] = ()) -> Masks:
     """Masks that may overlap and nest.
 
     Args:
         stack: [M, H, W] booleans, or numbers 0 and 1.
         scores: optional [M] in [0, 1]; default 1.
+        names: M names, such as classes: those of most of its masks become a segment's name; default: none.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -68,7 +71,8 @@ def from_stack(stack: Any, scores: Any = None) -> Masks:
     >>> from_stack(torch.tensor([[[1, 1, 0]], [[1, 0, 0]]]), scores=[0.9, 0.8])
     Masks(2 masks, 1 x 3 pixels, 67% covered)
     """
-    return Masks.from_stack(as_binary(stack, "stack"), as_scores(scores, "scores"), "stack")
+    found = Masks.from_stack(as_binary(stack, "stack"), as_scores(scores, "scores"), "stack")
+    return replace(found, names=tuple(names))
 
 
 @on_cpu()

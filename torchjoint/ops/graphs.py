@@ -73,13 +73,17 @@ def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: floa
     return call(torch.ops.torchjoint.felzenszwalb.default, edge_index, weight, num_nodes, float(scale), min_size)
 
 
-def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int = 0) -> Tensor:
+def merge_regions(
+    edge_index: Tensor, cost: Tensor, size: Tensor, threshold: float, min_size: int = 0, *, by_size: bool = False
+) -> Tensor:
     """Repeatedly merge the two neighbouring regions with the lowest mean boundary cost, up to a threshold.
 
     The boundary of two regions consists of all edges between them. When two regions merge, their boundaries with the
     same third region become one boundary. Afterwards, regions smaller than ``min_size`` are merged across boundaries in
     the same order, until no such region has a neighbour. This is average-linkage agglomeration (R. Sokal and C.
-    Michener, 1958) of the region adjacency graph, as P. Arbeláez et al. (PAMI 2011) merge image regions.
+    Michener, 1958) of the region adjacency graph, as P. Arbeláez et al. (PAMI 2011) merge image regions. With
+    ``by_size``, the mean is multiplied by a b / (a + b) for regions of sizes a and b, as in J. Ward's criterion (1963):
+    small regions merge first, and large ones only across the weakest boundaries.
 
     Costs are rounded to multiples of 2^-20, so that sums are exact (below 2^33 per boundary). Of boundaries with equal
     means, the one with the lowest number is merged first. Boundaries are numbered by their first edges; a joined
@@ -90,8 +94,9 @@ def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: flo
             all count, so that the mean is over the whole boundary.
         cost: ``[E]`` float32 in [0, 1024].
         size: ``[R]`` int64, size of each region, >= 0, in any unit.
-        threshold: largest mean cost of two regions that merge, >= 0.
+        threshold: largest mean cost of two regions that merge, >= 0; ``by_size``: in the unit of cost x size.
         min_size: smaller regions are merged with a neighbour; in the unit of ``size``.
+        by_size: whether sizes count in the cost of two regions.
 
     Returns:
         ``[R]`` int64, for each region a label 0, 1, ..., numbered by first appearance. No gradient flows through it.
@@ -111,7 +116,8 @@ def merge_regions(edge_index: Tensor, cost: Tensor, size: Tensor, threshold: flo
     check_array("size", size, torch.int64, (None,), "[R]")
     check_number("threshold", threshold, (int, float))
     check_number("min_size", min_size, (int,))
-    return call(torch.ops.torchjoint.merge_regions.default, edge_index, cost, size, float(threshold), min_size)
+    kernel = torch.ops.torchjoint.merge_regions.default
+    return call(kernel, edge_index, cost, size, float(threshold), min_size, bool(by_size))
 
 
 def region_dendrogram(
