@@ -28,37 +28,25 @@ class Merging {
     }
   }
 
-  void merge_up_to(double threshold) {
-    const std::vector<int32_t> part = connected_parts(threshold);
+  // `by_size`: by the mean cost times a b / (a + b), where a and b are the sizes (0 if both are 0), as in Ward's criterion.
+  void merge_up_to(double threshold, bool by_size) {
+    const std::vector<int32_t> part = connected_parts(by_size ? std::numeric_limits<double>::infinity() : threshold);
     const auto may_meet = [&](int64_t e) { return first(e) != second(e) && part[first(e)] == part[second(e)]; };
-    merge_blocks(threshold, may_meet);
+    if (!by_size) merge_blocks(threshold, may_meet);
     const Groups groups = current_groups();
     RegionAdjacencyGraph graph(groups.root.size());
     for (int64_t e = 0; e < num_edges_; ++e) {
       const int32_t a = groups.of_region[first(e)], b = groups.of_region[second(e)];
       if (a != b && may_meet(e)) graph.add(a, b, cost_[e]);
     }
-    graph.merge_weakest([&](const RegionBoundary& border) { return border.mean() <= threshold; },
-                        [&](int32_t n) { return join(graph.border(n), groups.root.data()); });
-  }
-
-  // Merges by the mean cost times a b / (a + b), where a and b are the sizes (0 if both are 0), as in Ward's criterion.
-  void merge_by_size(double threshold) {
-    RegionAdjacencyGraph graph(num_regions_);
-    for (int64_t e = 0; e < num_edges_; ++e) {
-      if (first(e) != second(e)) graph.add(static_cast<int32_t>(first(e)), static_cast<int32_t>(second(e)), cost_[e]);
-    }
+    const auto size = [&](int32_t group) { return static_cast<double>(merged_.size(groups.root[group])); };
     const auto cost = [&](const RegionBoundary& border) {
-      const auto a = static_cast<double>(merged_.size(border.region[0]));
-      const auto b = static_cast<double>(merged_.size(border.region[1]));
+      if (!by_size) return border.mean();
+      const double a = size(border.region[0]), b = size(border.region[1]);
       return border.mean() * (a * b / std::max(a + b, 1.0));
     };
     graph.merge_weakest([&](const RegionBoundary& border) { return cost(border) <= threshold; },
-                        [&](int32_t n) {
-                          merged_.join(graph.border(n).region[0], graph.border(n).region[1]);
-                          return true;
-                        },
-                        cost);
+                        [&](int32_t n) { return join(graph.border(n), groups.root.data()); }, cost);
   }
 
   // Merges the regions of fewer than `min_size` points. Boundaries between two larger regions are never merged.
@@ -195,7 +183,7 @@ Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor&
   check(min_size >= 0, "min_size: expected a number >= 0, got ", min_size);
 
   Merging merging(edges.const_data_ptr<int64_t>(), costs.const_data_ptr<float>(), num_edges, sizes);
-  by_size ? merging.merge_by_size(threshold * kUnit) : merging.merge_up_to(threshold * kUnit);
+  merging.merge_up_to(threshold * kUnit, by_size);
   if (min_size > 0) merging.join_small(min_size);
   Tensor labels = torch::stable::new_empty(sizes, {num_regions}, ScalarType::Long);
   merging.label(labels.mutable_data_ptr<int64_t>());
