@@ -3,6 +3,7 @@
 import dataclasses
 import pickle
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
@@ -64,6 +65,15 @@ class TestSameLabels:
             set_threads(count)
             assert_same(result, tj.JointSegmenter(config)(synthetic.scene))
             assert torch.get_num_threads() == count
+
+    def test_from_two_threads_with_one_segmenter(self, synthetic, plain):
+        segmenter, other = tj.JointSegmenter(CONFIG), synthetic.scene.select_points(torch.arange(3000))
+        with ThreadPoolExecutor(4) as threads:
+            found = list(threads.map(segmenter, [synthetic.scene, other] * 2))
+        expected = [plain, tj.JointSegmenter(CONFIG)(other)]
+        assert [len(one.points) for one in found] == [len(one.points) for one in expected * 2]
+        for one, of in zip(found, expected * 2, strict=True):
+            assert_same(one, of)
 
     def test_from_frames_in_another_order(self, synthetic, config, result):
         scene = dataclasses.replace(synthetic.scene, frames=[synthetic.scene.frames[i] for i in (4, 0, 5, 2, 1, 3)])

@@ -18,6 +18,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import copy_context
+from copy import copy
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -186,7 +187,7 @@ class JointSegmenter(nn.Module):
     @torch.no_grad()
     @on_cpu()
     def forward(self, scene: Scene, *, progress: bool = False, batch_size: int = 8) -> Segmentation:
-        """Segments a whole scene (steps 1-8).
+        """Segments a whole scene (steps 1-8). Several threads may call it at once.
 
         Args:
             scene: the cloud and its frames; without frames this is plain 3D segmentation.
@@ -203,9 +204,13 @@ class JointSegmenter(nn.Module):
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
-        for _ in self.steps(scene, progress=progress, batch_size=batch_size):
+        own = copy(self)  # of this call: several threads may call one segmenter
+        self._given = self._graph = self._state = None  # one cloud at a time in memory
+        for _ in own.steps(scene, progress=progress, batch_size=batch_size):
             pass
-        return self.compute(progress=progress)
+        found = own.compute(progress=progress)
+        vars(self).update(vars(own))
+        return found
 
     if TYPE_CHECKING:  # the one of nn.Module is untyped
         __call__ = forward

@@ -136,6 +136,9 @@ def test_initial_labels_of_another_suffix(sample):
     shutil.copy(path / "frame-000000.truth.png", path / "frame-000000.labels.PNG")
     with pytest.warns(UserWarning, match=r"000000\.labels\.PNG: not read: no frame has an image of labels"):
         tj.load_scene(path)
+    shutil.copy(path / "frame-000000.truth.png", path / "frame-000001.labels.png")
+    with pytest.warns(UserWarning, match=r"labels: \d+ of \d+ frames have no \.labels\.png"):
+        tj.load_scene(path)
 
 
 def test_depth_of_tum_without_its_list(sample):

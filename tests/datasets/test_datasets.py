@@ -56,7 +56,8 @@ def test_label_images_become_initial_segmentations(folder):
     labels = np.zeros((120, 160), dtype=np.uint16)
     labels[:, 80:] = 300
     Image.fromarray(labels).save(folder / "frame-000000.labels.png")
-    scene = tj.load_scene(folder)
+    with pytest.warns(UserWarning, match="labels: 5 of 6 frames have no"):
+        scene = tj.load_scene(folder)
     assert scene.frames[0].labels.unique().tolist() == [-1, 299]
     assert scene.frames[1].labels is None
 

@@ -272,6 +272,14 @@ def test_a_file_that_was_moved_is_told():
         nearest_labels(result, points + torch.tensor([0.0, 0, 5]))
 
 
+def test_a_file_of_more_than_was_segmented_is_told():
+    points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
+    more = torch.cat([points, points[:300] + 500])
+    with pytest.warns(UserWarning, match="300 of 700 vertices are farther than 4 m from the result; they have the"):
+        found = nearest_labels(result_of(points, torch.arange(400)), more)
+    assert torch.equal(found[:400], torch.arange(400))
+
+
 @pytest.mark.parametrize("suffix", [".glb", ".ply"])
 def test_a_mesh_that_was_moved_is_told_once(tmp_path, suffix):
     points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))

@@ -53,6 +53,21 @@ def test_arrays_of_numpy(channels):
         Frame(np.full((4, 6, 3), None), np.eye(3), np.eye(4))
 
 
+def test_what_was_given_may_change_later():
+    points, scores = torch.rand(9, 3), torch.ones(1)
+    scene, before = Scene(points), points.clone()
+    frame = Frame(IMAGE, K, POSE, masks=torch.ones(1, 48, 64, dtype=torch.bool), mask_scores=scores)
+    points.zero_(), scores.zero_()
+    assert torch.equal(scene.points, before)
+    assert frame.masks.scores.tolist() == [1.0]
+
+
+def test_arrays_of_another_byte_order():
+    frame = Frame(IMAGE.numpy().astype(">f4"), K.numpy().astype(">f8"), POSE.numpy().astype(">f4"))
+    assert torch.equal(frame.image, IMAGE)
+    assert torch.equal(frame.intrinsics, K.double())
+
+
 def test_intrinsics_may_be_integers():
     matrix = np.array([[50, 0, 32], [0, 50, 24], [0, 0, 1]])
     assert Frame(IMAGE, matrix, POSE).intrinsics.tolist() == matrix.tolist()

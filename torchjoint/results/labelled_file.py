@@ -114,6 +114,8 @@ def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> 
 FAR = 0.25
 #: If they are farther than so many times the distance between neighbours of the result, it may have moved.
 AWAY = 4
+#: Vertices farther than this share of the diagonal were not segmented; a share of more than LOST is told.
+ALONE, LOST = 0.05, 0.05
 
 
 def nearest_labels(result: Result, points: Tensor) -> Tensor:
@@ -151,6 +153,9 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
         raise ValueError(f"{told}; is the file of another place, or in another frame?")
     if 0 < AWAY * spacing < middle:
         warnings.warn(f"{told}, whose neighbours are {spacing:.2g} m apart; was the file moved?", stacklevel=3)
+    elif (lost := int((distance > (limit := max(AWAY * spacing, ALONE * diagonal))).sum())) > LOST * len(distance):
+        told = f"{lost} of {len(points)} vertices are farther than {limit:.3g} m from the result"
+        warnings.warn(f"{told}; they have the label of its nearest point all the same", stacklevel=3)
     found = torch.full((len(points),), -1)
     found[finite] = torch.from_numpy(index)
     return found

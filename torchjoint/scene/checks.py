@@ -147,7 +147,8 @@ def as_tensor(value: npt.NDArray[Any], name: str) -> Tensor:
     if isinstance(value, np.ma.MaskedArray):
         raise TypeError(f"{name}: expected no masked array, whose mask would be lost; give filled(...)")
     try:
-        return torch.from_numpy(np.array(value, order="C"))  # a copy: the array may be read-only, or change
+        # A copy: the array may be read-only, change, or have the bytes of another machine.
+        return torch.from_numpy(np.array(value, dtype=value.dtype.newbyteorder("="), order="C"))
     except TypeError as error:
         raise TypeError(f"{name}: expected numbers, got an array of {value.dtype}") from error
 

@@ -282,7 +282,7 @@ def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None
 def _as_scores(scores: Tensor | None, count: int, name: str) -> Tensor:
     if scores is None:
         return torch.ones(count, dtype=torch.float32, device="cpu")
-    scores = as_float(scores, name, torch.float32)
+    scores = as_float(scores, name, torch.float32).clone()
     check_shape(scores, (count,), name)
     if count and not 0 <= float(scores.min()) <= float(scores.max()) <= 1:
         raise ValueError(

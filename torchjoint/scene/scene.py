@@ -123,7 +123,8 @@ class Scene:
         if self.up is not None:
             object.__setattr__(self, "up", as_direction(self.up, "up"))
         cloud = Cloud.checked(self.points, self.colors, self.normals)
-        for name in ("points", "colors", "normals"):
+        object.__setattr__(self, "points", cloud.points.clone())  # callers may write the next cloud into theirs
+        for name in ("colors", "normals"):
             object.__setattr__(self, name, getattr(cloud, name))
         if not (hasattr(self.frames, "__len__") and hasattr(self.frames, "__getitem__")):
             raise TypeError(f"frames: expected a sequence of Frame, got {type(self.frames).__name__}")

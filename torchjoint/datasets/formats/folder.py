@@ -12,6 +12,7 @@ cloud.truth.npy                ground-truth instances of the points, integers [N
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,8 +61,11 @@ def read_frames(path: Path) -> Frames:
     poses = [world_to_camera(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
     file = path / "camera-intrinsics.txt"
     camera = Camera(read_matrix(file, (3, 3)), name=str(file))
-    if not any(has_file(_beside(file, ".labels.png")) for file in colors):
+    without = [file for file in colors if not has_file(_beside(file, ".labels.png"))]
+    if len(without) == len(colors):
         tell_not_read(path, "label", "an image of labels")
+    elif without:
+        warnings.warn(f"labels: {len(without)} of {len(colors)} frames have no .labels.png", stacklevel=4)
     shots = [
         Shot(color, camera, pose, stem, _beside(color, ".depth.png"), labels=_beside(color, ".labels.png"))
         for color, pose, stem in zip(colors, poses, stems, strict=True)
