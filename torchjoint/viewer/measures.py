@@ -14,6 +14,7 @@ import torch
 from torchjoint.results.edits import Table
 from torchjoint.results.objects import oriented_box
 from torchjoint.results.parts import Parts
+from torchjoint.runtime.groups import each_once
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene.hierarchy import Confidence
 
@@ -147,12 +148,8 @@ def kept_numbers(segment: Table, before: Table, number: Table) -> Table:
     """
     count = int(before.max()) + 1
     pairs, shared = np.unique(segment * count + before, return_counts=True)  # ascending
-    found: dict[int, int] = {}
-    taken: set[int] = set()
-    for one, earlier in zip(*np.divmod(pairs[np.argsort(-shared, kind="stable")], count), strict=True):
-        if one not in found and earlier not in taken:
-            found[one] = earlier
-            taken.add(earlier)
+    found = each_once(zip(*np.divmod(pairs[np.argsort(-shared, kind="stable")], count), strict=True))
+    taken = set(found.values())
     free = (candidate for candidate in itertools.count() if candidate not in taken)
     numbers = number.copy()
     for one in np.unique(segment):
