@@ -66,15 +66,9 @@ class Keyframe(NamedTuple):
             far: metres, keeps depth up to here; None: keeps no depth.
         """
         # 8 bits are what steps 5-8 see of images.
-        keyframe = cls(
-            frame.name,
-            frame.intrinsics,
-            frame.world_to_camera,
-            pack(_bytes(bright.image)),
-            pack(_bytes(segments.boundary)),
-            pack(segments.labels.to(torch.int32)),
-            segments.masks,
-        )
+        image, boundary = pack(_bytes(bright.image)), pack(_bytes(segments.boundary))
+        labels = pack(segments.labels.to(torch.int32))
+        keyframe = cls(frame.name, frame.intrinsics, frame.world_to_camera, image, boundary, labels, segments.masks)
         if far is None or frame.depth is None:
             return keyframe
         known = (frame.depth > 0) & (frame.depth <= far)

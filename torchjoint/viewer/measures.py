@@ -86,17 +86,11 @@ class Measures:
         if segment not in self._rows:
             place = int(np.searchsorted(self._firsts, segment))
             start, count = int(self._starts[place]), int(self._counts[place])
-            sure = self.confidence
-            size = oriented_box(self._points[self._order[start : start + count]], self._up).size
-            self._rows[segment] = Row(
-                int(self.ids[segment]),
-                int(self.hues[segment]),
-                name,
-                count,
-                (float(size[0]), float(size[1]), float(size[2])),
-                len(self.frames_of(segment)) if self._frames else None,
-                None if sure is None else float(sure.of_segment[self._number[segment]]),
-            )
+            x, y, z = oriented_box(self._points[self._order[start : start + count]], self._up).size.tolist()
+            frames = len(self.frames_of(segment)) if self._frames else None
+            sure = None if self.confidence is None else float(self.confidence.of_segment[self._number[segment]])
+            key, hue = int(self.ids[segment]), int(self.hues[segment])
+            self._rows[segment] = Row(key, hue, name, count, (x, y, z), frames, sure)
         return replace(self._rows[segment], name=name)
 
     def rows(self, names: Mapping[int, str], search: str, order: str, most: int) -> tuple[list[Row], int]:
