@@ -1,6 +1,5 @@
 // Overlap of the label windows at the two ends of an edge (eq. 5), for edges with two visible ends.
 #include "common.h"
-#include "common_keys.h"
 #include "visible_edges.h"
 
 #include <algorithm>
@@ -11,7 +10,7 @@ namespace torchjoint {
 namespace {
 
 struct Bin {
-  int32_t key;  // a label
+  int32_t label;
   int32_t count;
 };
 
@@ -35,9 +34,9 @@ class Windows {
     }
     Window added{bins_.size(), 0, 0};
     for (const Bin& run : runs_) added.size += run.count;
-    if (runs_.size() > 1) std::sort(runs_.begin(), runs_.end(), [](Bin a, Bin b) { return a.key < b.key; });
+    if (runs_.size() > 1) std::sort(runs_.begin(), runs_.end(), [](Bin a, Bin b) { return a.label < b.label; });
     for (const Bin& run : runs_) {
-      if (bins_.size() > added.start && bins_.back().key == run.key) {
+      if (bins_.size() > added.start && bins_.back().label == run.label) {
         bins_.back().count += run.count;
       } else {
         bins_.push_back(run);
@@ -52,8 +51,19 @@ class Windows {
 
   // Histogram intersection: the sum over labels of the smaller of the two counts.
   int32_t intersection(int32_t first, int32_t second) const {
+    const Window &one = windows_[first], &other = windows_[second];
+    size_t a = one.start, b = other.start;
+    const size_t a_end = a + one.num_bins, b_end = b + other.num_bins;
     int32_t common = 0;
-    for_each_common(bins(first), bins(second), [&](Bin a, Bin b) { common += std::min(a.count, b.count); });
+    while (a < a_end && b < b_end) {
+      if (bins_[a].label == bins_[b].label) {
+        common += std::min(bins_[a++].count, bins_[b++].count);
+      } else if (bins_[a].label < bins_[b].label) {
+        ++a;
+      } else {
+        ++b;
+      }
+    }
     return common;
   }
 
@@ -64,13 +74,9 @@ class Windows {
     int32_t size;
   };
 
-  std::span<const Bin> bins(int32_t slot) const {
-    return std::span(bins_).subspan(windows_[slot].start, windows_[slot].num_bins);
-  }
-
   void add_pixel(int32_t label) {
     if (label < 0) return;
-    if (!runs_.empty() && runs_.back().key == label) {
+    if (!runs_.empty() && runs_.back().label == label) {
       ++runs_.back().count;
     } else {
       runs_.push_back({label, 1});
