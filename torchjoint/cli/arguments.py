@@ -56,11 +56,9 @@ class Parameters:
 
     def config(self, out: Path | None = None) -> Config:
         """Returns the preset with the single parameters applied; its file must not be in `out`, which is replaced."""
-        is_file = self.preset.endswith((".yaml", ".yml"))
-        if out is not None and is_file:
+        if out is not None and self.preset.endswith((".yaml", ".yml")):
             check_no_input(out, (Path(self.preset),))
-        config = Config.from_yaml(self.preset) if is_file else Config.from_preset(self.preset)
-        return config.set(self.set)
+        return Config.from_preset(self.preset).set(self.set)
 
 
 #: The command line's defaults.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import torch
 import tyro
 
-from torchjoint.cli.arguments import output_file, output_files_in
+from torchjoint.cli.arguments import OptionalOut, output_file, output_files_in
 from torchjoint.cli.output import at_level
 from torchjoint.datasets.files import las
 from torchjoint.datasets.files.ply import write_cloud
@@ -38,7 +38,7 @@ Format = Literal[
 def export(
     result: tyro.conf.Positional[Path],
     format: Format,
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    out: OptionalOut = None,
     granularity: float | None = None,
     only_masked: bool = False,
     overwrite: bool = False,

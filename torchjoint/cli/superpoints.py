@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import torch
 import tyro
 from torch import Tensor
 
-from torchjoint.cli.arguments import output_file
+from torchjoint.cli.arguments import OptionalOut, output_file
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.las import SUFFIXES
@@ -32,7 +31,7 @@ NAME = "superpoint"
 
 def superpoints(
     cloud: tyro.conf.Positional[Path],
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    out: OptionalOut = None,
     preset: str = "default",
     set: tuple[str, ...] = (),
     viewpoint: tuple[float, float, float] | None = None,

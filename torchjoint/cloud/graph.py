@@ -110,40 +110,21 @@ def build_point_graph(cloud: Cloud, neighbors: int, normal_neighbors: int | Scal
         scales, (few, many) = normal_neighbors, PLANE_LIMITS
         for_normals = scales.normal_neighbors
         for_planes = min(many, max(few, round(PLANE_SHARE * for_normals)))
-    if cloud.normals is not None:
-        for_normals = 0
-    counts = (neighbors, for_normals, for_planes)
-    table, spacing = neighbor_tables(cloud.points, counts, reach=0.0)
-    normals = cloud.normals
+    points, normals, is_given = cloud.points, cloud.normals, cloud.normals is not None
+    table, spacing = neighbor_tables(points, (neighbors, 0 if is_given else for_normals, for_planes), reach=0.0)
     if normals is None:
-        normals = estimate_normals(cloud.points, table[for_normals])
+        normals = estimate_normals(points, table[for_normals])
     edge_index = undirected_edges(table[neighbors])
     around = table[for_planes].contiguous()
-    return PointGraph(
-        cloud.points,
-        cloud.colors,
-        normals,
-        cloud.normals is not None,
-        spacing,
-        edge_index,
-        around,
-        scales,
-        None if scales is None else estimate_normals(cloud.points, around),
-    )
+    wide = None if scales is None else estimate_normals(points, around)
+    return PointGraph(points, cloud.colors, normals, is_given, spacing, edge_index, around, scales, wide)
 
 
 def build_edgeless_graph(cloud: Cloud) -> PointGraph:
     """A graph with points only, for method scan, which reads neither edges nor normals."""
-    no_edges = torch.empty(2, 0, dtype=torch.int64)
-    return PointGraph(
-        cloud.points,
-        cloud.colors,
-        torch.zeros_like(cloud.points),
-        False,
-        None,
-        no_edges,
-        torch.empty(len(cloud.points), 0, dtype=torch.int32),
-    )
+    points, no_edges = cloud.points, torch.empty(2, 0, dtype=torch.int64)
+    no_neighbors = torch.empty(len(points), 0, dtype=torch.int32)
+    return PointGraph(points, cloud.colors, torch.zeros_like(points), False, None, no_edges, no_neighbors)
 
 
 def undirected_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -122,27 +122,16 @@ def _reach_farther(points: Tensor, near: Array, reach: float, indices: Array) ->
             return
         thin = _tree(coordinates[kept])
         still_near = []
-        for rows in _parts(near):
-            index, distance = _query(thin, coordinates, rows, count, kept)
-            indices[rows] = index
+        for start in range(0, len(near), QUERIES):  # in the tree's order: consecutive queries access the same memory
+            rows = near[start : start + QUERIES]
+            distance, index = thin.query(coordinates[rows], k=count + 1, workers=num_threads())
+            indices[rows], distance = _without_self(rows, kept[index], distance)
             still_near.append(rows[distance[:, -1] < reach])
         near = np.concatenate(still_near)
 
 
 def _tree(coordinates: Array) -> cKDTree:
     return cKDTree(coordinates, leafsize=24, balanced_tree=False, compact_nodes=False)
-
-
-def _query(tree: cKDTree, coordinates: Array, rows: Array, count: int, members: Array) -> tuple[Array, Array]:
-    """Indices and distances of the neighbours of the points `rows`; `members` are the tree's points."""
-    distance, index = tree.query(coordinates[rows], k=count + 1, workers=num_threads())
-    return _without_self(rows, members[index], distance)
-
-
-def _parts(order: Array) -> Iterator[Array]:
-    """Blocks of points in the tree's order: consecutive queries then access the same memory."""
-    for start in range(0, len(order), QUERIES):
-        yield order[start : start + QUERIES]
 
 
 def _without_self(rows: Array, index: Array, distance: Array) -> tuple[Array, Array]:

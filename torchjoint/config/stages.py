@@ -209,23 +209,15 @@ class VisibilityConfig(Stage):
         choices=("zbuffer", "hidden_point_removal"),
     )  # fmt: skip
     footprint: float = parameter(
-        0.5,
-        "zbuffer: half width of a point's splat in units of the point's spacing; more closes holes in surfaces, but "
-        "also hides points beside an occluder",
-        above=0,
-        high=10,
-        sensible="0.3-1",
-    )
+        0.5, "zbuffer: half width of a point's splat in units of the point's spacing; more closes holes in surfaces, "
+        "but also hides points beside an occluder", above=0, high=10, sensible="0.3-1",
+    )  # fmt: skip
     depth_tolerance: float = parameter(
-        0.01,
-        "zbuffer: a point is visible up to this far behind the nearest splat; more tolerates noise and errors of "
-        "poses, but lets hidden points through",
-        unit="of the point's depth",
-        above=0,
-        sensible="0.005-0.02",
+        0.01, "zbuffer: a point is visible up to this far behind the nearest splat; more tolerates noise and errors of "
+        "poses, but lets hidden points through", unit="of the point's depth", above=0, sensible="0.005-0.02",
         too_low="a noisy cloud hides its own points: the images say nothing about many points",
         too_high="points behind an object count as seen: in images, an object has labels of what is behind it",
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -33,13 +33,10 @@ class SuperpointsConfig(Stage):
         1.0, "weight of the surface's turn; more cuts at flatter creases", unit="1/rad, or 1", low=0
     )
     convex_factor: float = parameter(
-        0.1,
-        "angle: factor on the angle where the surface is convex, as it is inside most objects; less keeps convex "
+        0.1, "angle: factor on the angle where the surface is convex, as it is inside most objects; less keeps convex "
         "objects whole; needs oriented normals (given, of a mesh, or turned to a viewpoint)",
-        low=0,
-        high=1,
-        sensible="0.03-1",
-    )
+        low=0, high=1, sensible="0.03-1",
+    )  # fmt: skip
     distance_weight: float = parameter(
         0.0, "weight of the distance of two points; more separates sparse parts from dense ones",
         unit="1/m", low=0, sensible="0-10",

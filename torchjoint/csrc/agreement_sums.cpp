@@ -65,11 +65,9 @@ class Regions {
     rows_.resize(num_rows);
     for (int64_t i = 0; i < num_rows; ++i) rows_[start[region[i]]++] = {segment[i], points[i]};
     // Now start[r] is the end of region r.
-    torch::stable::parallel_for(0, num_regions, kRegionsAtOnce, [&](int64_t begin, int64_t end) {
-      for (int64_t r = begin; r < end; ++r) {
-        const int64_t first = r == 0 ? 0 : start[r - 1];
-        summarize(std::span(rows_).subspan(first, start[r] - first), regions_[r]);
-      }
+    parallel_for_each(num_regions, kRegionsAtOnce, [&](int64_t r) {
+      const int64_t first = r == 0 ? 0 : start[r - 1];
+      summarize(std::span(rows_).subspan(first, start[r] - first), regions_[r]);
     });
     for (int64_t r = 0; r < num_regions; ++r) {  // an exception from a thread would lose its text
       check(regions_[r].too_small < 0, "num_points: expected at most segment_size, but region ", r,
@@ -181,15 +179,13 @@ std::tuple<Tensor, Tensor, Tensor> agreement_sums(const Tensor& region, const Te
   for (int64_t r = 0; r < num_regions; ++r) best_out[r] = regions[r].best;
   double* const extreme = extremes.mutable_data_ptr<double>();
   int64_t* const sum = sums.mutable_data_ptr<int64_t>();
-  torch::stable::parallel_for(0, num_pairs, kPairsAtOnce, [&](int64_t first, int64_t last) {
-    for (int64_t i = first; i < last; ++i) {
-      const Evidence found(segments, regions[end[i]], regions[end[num_pairs + i]], resolution);
-      int64_t row = 0;
-      for (const double value : {found.best_union, found.low, found.high}) extreme[row++ * num_pairs + i] = value;
-      row = 0;
-      for (const uint64_t value : {found.common, found.product, found.rounded, found.squares, found.views}) {
-        sum[row++ * num_pairs + i] = static_cast<int64_t>(value);
-      }
+  parallel_for_each(num_pairs, kPairsAtOnce, [&](int64_t i) {
+    const Evidence found(segments, regions[end[i]], regions[end[num_pairs + i]], resolution);
+    int64_t row = 0;
+    for (const double value : {found.best_union, found.low, found.high}) extreme[row++ * num_pairs + i] = value;
+    row = 0;
+    for (const uint64_t value : {found.common, found.product, found.rounded, found.squares, found.views}) {
+      sum[row++ * num_pairs + i] = static_cast<int64_t>(value);
     }
   });
   return {best, extremes, sums};

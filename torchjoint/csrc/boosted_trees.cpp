@@ -107,16 +107,14 @@ Tensor boosted_trees(const Tensor& values, const Tensor& feature, const Tensor& 
   double* const sums = result.mutable_data_ptr<double>();
   std::fill_n(sums, num_rows, 0.0);
   const int64_t blocks = (num_rows + kRowsPerBlock - 1) / kRowsPerBlock;
-  torch::stable::parallel_for(0, blocks, 1, [&](int64_t begin, int64_t end) {
-    for (int64_t block = begin; block < end; ++block) {
-      const int64_t first = block * kRowsPerBlock, last = std::min(first + kRowsPerBlock, num_rows);
-      for (int64_t tree = 0; tree < trees.count; ++tree) {
-        int64_t row = first;
-        for (; row + kRowsAtOnce <= last; row += kRowsAtOnce) {
-          trees.add_leaves<kRowsAtOnce>(tree, data + row * num_features, num_features, sums + row);
-        }
-        for (; row < last; ++row) trees.add_leaves<1>(tree, data + row * num_features, num_features, sums + row);
+  parallel_for_each(blocks, 1, [&](int64_t block) {
+    const int64_t first = block * kRowsPerBlock, last = std::min(first + kRowsPerBlock, num_rows);
+    for (int64_t tree = 0; tree < trees.count; ++tree) {
+      int64_t row = first;
+      for (; row + kRowsAtOnce <= last; row += kRowsAtOnce) {
+        trees.add_leaves<kRowsAtOnce>(tree, data + row * num_features, num_features, sums + row);
       }
+      for (; row < last; ++row) trees.add_leaves<1>(tree, data + row * num_features, num_features, sums + row);
     }
   });
   return result;

@@ -120,6 +120,14 @@ auto with_values(const Tensor& values, Function&& function) {
   return function(values.const_data_ptr<double>());
 }
 
+// Calls `function(i)` for i = 0, ..., count - 1 on torch's threads, `at_once` or more in one task.
+template <typename Function>
+void parallel_for_each(int64_t count, int64_t at_once, const Function& function) {
+  torch::stable::parallel_for(0, count, at_once, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) function(i);
+  });
+}
+
 // With sanitizers the compiler would need many minutes for a version without calls.
 #if defined(__x86_64__) && !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 #define TORCHJOINT_AVX2

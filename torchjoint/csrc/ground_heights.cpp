@@ -52,9 +52,7 @@ class Ground {
     blind_ = blind_distance(some, elevation);
     for (int64_t column = 0; column < settings.num_columns; ++column) profiles_[column] = walk(column);
     std::vector<Profile> smooth(profiles_.size());
-    torch::stable::parallel_for(0, settings.num_columns, kColumnsAtOnce, [&](int64_t begin, int64_t end) {
-      for (int64_t column = begin; column < end; ++column) smooth[column] = without_bumps(column);
-    });
+    parallel_for_each(settings.num_columns, kColumnsAtOnce, [&](int64_t i) { smooth[i] = without_bumps(i); });
     profiles_ = std::move(smooth);
   }
 
@@ -183,9 +181,7 @@ Tensor ground_heights(const Tensor& azimuth, const Tensor& elevation, const Tens
                       {num_columns, row_height, slope, step, bump, near, blind, sides});
   Tensor found = torch::stable::new_empty(turns, {count}, ScalarType::Double);
   double* const at = found.mutable_data_ptr<double>();
-  torch::stable::parallel_for(0, count, kPointsAtOnce, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) at[i] = ground.at(i);
-  });
+  parallel_for_each(count, kPointsAtOnce, [&](int64_t i) { at[i] = ground.at(i); });
   return found;
 }
 

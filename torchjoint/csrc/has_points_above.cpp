@@ -23,9 +23,8 @@ class Grid {
     for (int64_t i = 0; i < count; ++i) {
       if (used[i]) heights_[next[cell(column[i], row[i])]++] = height[i];
     }
-    torch::stable::parallel_for(0, num_columns * num_rows, kCellsAtOnce, [&](int64_t begin, int64_t end) {
-      for (int64_t i = begin; i < end; ++i) std::sort(heights_.begin() + start_[i], heights_.begin() + start_[i + 1]);
-    });
+    parallel_for_each(num_columns * num_rows, kCellsAtOnce,
+                      [&](int64_t i) { std::sort(heights_.begin() + start_[i], heights_.begin() + start_[i + 1]); });
   }
 
   // Whether a point of these cells is more than `least` and less than `most` above a height.
@@ -75,11 +74,8 @@ Tensor has_points_above(const Tensor& column, const Tensor& row, const Tensor& h
   const Grid grid(c, r, h, may.const_data_ptr<bool>(), count, num_columns, num_rows);
   Tensor found = torch::stable::new_empty(tested, {num_tested}, ScalarType::Bool);
   bool* const rises = found.mutable_data_ptr<bool>();
-  torch::stable::parallel_for(0, num_tested, kPointsAtOnce, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) {
-      rises[i] = grid.rises(c[points[i]], r[points[i]], h[points[i]], least, most);
-    }
-  });
+  parallel_for_each(num_tested, kPointsAtOnce,
+                    [&](int64_t i) { rises[i] = grid.rises(c[points[i]], r[points[i]], h[points[i]], least, most); });
   return found;
 }
 

@@ -114,9 +114,8 @@ void integrate_depth(const Tensor& sums, const Tensor& row, const Tensor& block,
             image.size(1)};
   std::copy_n(pose.const_data_ptr<double>(), 12, view.rows);
   int32_t* const cells = sums.mutable_data_ptr<int32_t>();
-  torch::stable::parallel_for(0, rows.size(0), kBlocksAtOnce, [&](int64_t begin, int64_t end) {
-    for (int64_t b = begin; b < end; ++b) view.add_block(at + 3 * b, cells + to[b] * kVoxels * kChannels);
-  });
+  parallel_for_each(rows.size(0), kBlocksAtOnce,
+                    [&](int64_t b) { view.add_block(at + 3 * b, cells + to[b] * kVoxels * kChannels); });
 }
 
 }  // namespace

@@ -25,9 +25,8 @@ class Leaves {
         count_(count), leaves_(least.size()), boxes_(least.size()) {
     if (count == 0) return;
     const std::vector<int32_t> order = order_along_curve(points, count);
-    torch::stable::parallel_for(0, num_leaves(), 256, [&](int64_t begin, int64_t end) {
-      for (int64_t leaf = begin; leaf < end; ++leaf) fill(leaf, points, reach, order.data() + leaf * kLeafSize);
-    });
+    parallel_for_each(num_leaves(), 256,
+                      [&](int64_t leaf) { fill(leaf, points, reach, order.data() + leaf * kLeafSize); });
     std::vector<Box> boxes(boxes_.data(), boxes_.data() + num_leaves());
     while (levels_.empty() || boxes.size() > 1) boxes = add_level(boxes);
   }

@@ -61,11 +61,9 @@ template <typename Index, typename Function>
 void for_blocks_of_rows(const Index* neighbors, int64_t num_rows, int64_t row_length, const Function& function) {
   const int64_t blocks = num_blocks(num_rows);
   std::vector<char> valid(blocks);
-  torch::stable::parallel_for(0, blocks, 1, [&](int64_t begin, int64_t end) {
-    for (int64_t block = begin; block < end; ++block) {
-      const int64_t first = block * kRowsPerBlock;
-      valid[block] = function(block, first, std::min(first + kRowsPerBlock, num_rows));
-    }
+  parallel_for_each(blocks, 1, [&](int64_t block) {
+    const int64_t first = block * kRowsPerBlock;
+    valid[block] = function(block, first, std::min(first + kRowsPerBlock, num_rows));
   });
   if (std::find(valid.begin(), valid.end(), 0) == valid.end()) return;
   const Index* bad = std::find_if(neighbors, neighbors + num_rows * row_length,

@@ -44,10 +44,8 @@ class PointTree {
         boxes_(std::max<int64_t>(2 * num_leaves_ - 1, 0)), middles_(std::max<int64_t>(2 * num_leaves_ - 1, 0)) {
     if (num_points == 0) return;
     Array<Point> moved(num_points);
-    torch::stable::parallel_for(0, num_points, 1 << 14, [&](int64_t begin, int64_t end) {
-      for (int64_t i = begin; i < end; ++i) {
-        moved[i] = {{points[3 * i], points[3 * i + 1], points[3 * i + 2]}, static_cast<int32_t>(i)};
-      }
+    parallel_for_each(num_points, 1 << 14, [&](int64_t i) {
+      moved[i] = {{points[3 * i], points[3 * i + 1], points[3 * i + 2]}, static_cast<int32_t>(i)};
     });
     build(moved.data());
   }
@@ -128,18 +126,12 @@ class PointTree {
     std::vector<Node> level{{0, 0, num_leaves_, 0}};
     for (int depth = 0; depth < 6; ++depth) {
       std::vector<Node> next(2 * level.size());
-      for_all(level, [&](size_t i) { std::tie(next[2 * i], next[2 * i + 1]) = halves(points, level[i]); });
+      parallel_for_each(level.size(), 1,
+                        [&](int64_t i) { std::tie(next[2 * i], next[2 * i + 1]) = halves(points, level[i]); });
       std::erase_if(next, [](const Node& node) { return node.first == node.last; });
       level = std::move(next);
     }
-    for_all(level, [&](size_t i) { build_below(points, level[i]); });
-  }
-
-  template <typename Function>
-  static void for_all(const std::vector<Node>& nodes, const Function& function) {
-    torch::stable::parallel_for(0, static_cast<int64_t>(nodes.size()), 1, [&](int64_t begin, int64_t end) {
-      for (int64_t i = begin; i < end; ++i) function(i);
-    });
+    parallel_for_each(level.size(), 1, [&](int64_t i) { build_below(points, level[i]); });
   }
 
   void build_below(Point* points, const Node& node) {

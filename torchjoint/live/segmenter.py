@@ -66,15 +66,9 @@ class Keyframe(NamedTuple):
             far: metres, keeps depth up to here; None: keeps no depth.
         """
         # 8 bits are what steps 5-8 see of images.
-        keyframe = cls(
-            frame.name,
-            frame.intrinsics,
-            frame.world_to_camera,
-            pack(_bytes(bright.image)),
-            pack(_bytes(segments.boundary)),
-            pack(segments.labels.to(torch.int32)),
-            segments.masks,
-        )
+        image, boundary = pack(_bytes(bright.image)), pack(_bytes(segments.boundary))
+        labels = pack(segments.labels.to(torch.int32))
+        keyframe = cls(frame.name, frame.intrinsics, frame.world_to_camera, image, boundary, labels, segments.masks)
         if far is None or frame.depth is None:
             return keyframe
         known = (frame.depth > 0) & (frame.depth <= far)
@@ -97,9 +91,9 @@ class Keyframe(NamedTuple):
         keyframe = cls(**{**values, **packed, "masks": masks})
         frame, segments = keyframe.opened()
         keyframe.measured()
-        for name, shape in (("boundary", segments.boundary.shape), ("labels", segments.labels.shape)):
-            check_size(shape, frame.size, f"{name} of keyframe {frame.name!r}")
-        check_size(frame.size if masks is None else masks.size, frame.size, f"masks of keyframe {frame.name!r}")
+        of_masks = segments.labels if masks is None else masks.atom
+        for name, one in (("boundary", segments.boundary), ("labels", segments.labels), ("masks", of_masks)):
+            check_shape(one, frame.size, f"{name} of keyframe {frame.name!r}")
         low, high = int(segments.labels.min()), int(segments.labels.max())
         if not -1 <= low <= high < segments.labels.numel():
             raise ValueError(f"labels of keyframe {frame.name!r}: expected -1 or more, got {low} to {high}")
@@ -132,12 +126,6 @@ class Keyframe(NamedTuple):
             return None
         frame = Frame(_image(self.taken or self.image), self.intrinsics, self.world_to_camera, name=self.name)
         return replace(frame, depth=self.depth.unpack().float() * DEPTH_STEP)
-
-
-def check_size(got: Sequence[int], expected: tuple[int, int], name: str) -> None:
-    """Raises ValueError unless the sizes (H, W) are equal."""
-    if tuple(got) != expected:
-        raise ValueError(f"{name}: expected {list(expected)}, got {list(got)}")
 
 
 def _bytes(values: Tensor) -> Tensor:

@@ -126,14 +126,11 @@ def polygon_pixels(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> n
         size: (H, W) of the image.
     """
     window = Window(corners, size)
-    strip = max(1, _STRIP // max(1, window.size[1]))
-    return np.concatenate(
-        [np.empty(0, np.int64)]
-        + [
-            _strip_pixels(corners, window, row, min(strip, window.row + window.size[0] - row)) + row * size[1]
-            for row in range(window.row, window.row + window.size[0], strip)
-        ]
-    )
+    strip, end = max(1, _STRIP // max(1, window.size[1])), window.row + window.size[0]
+    pixels = [np.empty(0, np.int64)]
+    for row in range(window.row, end, strip):
+        pixels.append(_strip_pixels(corners, window, row, min(strip, end - row)) + row * size[1])
+    return np.concatenate(pixels)
 
 
 def work_of(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> tuple[int, int]:

@@ -76,6 +76,12 @@ def dynamic_size() -> torch.SymInt:
     return torch.library.get_ctx().new_dynamic_size()
 
 
+def of_one_size(like: Tensor, *kinds: tuple[Any, ...]) -> tuple[Tensor, ...]:
+    """Results of a fake kernel whose last sides have one such length: of each its dtype, and the sides before."""
+    count = dynamic_size()
+    return tuple(like.new_empty((*sides, count), dtype=dtype) for dtype, *sides in kinds)
+
+
 def register_fakes(**fakes: Callable[..., Any]) -> None:
     """Registers for each operator what makes empty results of the right shapes and dtypes, as torch.compile needs."""
     for name, fake in fakes.items():

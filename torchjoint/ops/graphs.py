@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint.ops._call import call, dynamic_size, register_fakes
+from torchjoint.ops._call import call, of_one_size, register_fakes
 from torchjoint.ops._checks import check_array, check_edge_index, check_num_nodes, check_number, check_vector
 
 
@@ -211,16 +211,11 @@ def min_cut(
     return call(torch.ops.torchjoint.min_cut.default, edge_index, capacity, source_capacity, sink_capacity)
 
 
-def _merges(edge_index: Tensor) -> tuple[Tensor, Tensor]:
-    num_merges = dynamic_size()
-    return edge_index.new_empty((2, num_merges)), edge_index.new_empty(num_merges, dtype=torch.float64)
-
-
 register_fakes(
     connected_components=lambda edge_index, num_nodes: edge_index.new_empty(num_nodes),
     felzenszwalb=lambda edge_index, _weight, num_nodes, *_: edge_index.new_empty(num_nodes),
     merge_regions=lambda _edge_index, _cost, size, *_: torch.empty_like(size),
-    region_dendrogram=lambda edge_index, *_: _merges(edge_index),
+    region_dendrogram=lambda edge_index, *_: of_one_size(edge_index, (torch.int64, 2), (torch.float64,)),
     min_cut=lambda _edge_index, _capacity, source_capacity, _sink_capacity: (
         source_capacity.new_empty(source_capacity.shape, dtype=torch.bool),
         source_capacity.new_empty((), dtype=torch.float64),

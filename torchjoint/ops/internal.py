@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint.ops._call import call, dynamic_size, register_fakes
+from torchjoint.ops._call import call, dynamic_size, of_one_size, register_fakes
 from torchjoint.ops._checks import check_array, check_number
 
 #: Voxels along a side of a block of :func:`integrate_depth`.
@@ -412,24 +412,9 @@ def outvoted_markers(markers: Tensor, colors: Tensor, color_weight: float, num_v
 # The shapes and dtypes of the results, for torch.compile
 
 
-def _edges_in_image(order: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    count = dynamic_size()
-    return order.new_empty(count, dtype=torch.int64), order.new_empty(count, dtype=dtype)
-
-
 def _agreement_sums(num_regions: int, pairs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     best = pairs.new_empty(num_regions, dtype=torch.float64)
     return best, best.new_empty(3, pairs.shape[1]), pairs.new_empty(5, pairs.shape[1])
-
-
-def _mask_merges(edge_index: Tensor) -> tuple[Tensor, Tensor]:
-    count = dynamic_size()
-    return edge_index.new_empty(2, count), edge_index.new_empty(count, dtype=torch.float64)
-
-
-def _pair_counts(pixel: Tensor) -> tuple[Tensor, Tensor]:
-    count = dynamic_size()
-    return pixel.new_empty(4, count), pixel.new_empty(count)
 
 
 def _segment_graphs(labels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -443,17 +428,17 @@ def _segment_graphs(labels: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Ten
 register_fakes(
     integrate_depth=lambda *_: None,
     structured_forest=lambda images, *_: images.new_empty(images[:, 0].shape),
-    window_overlaps=lambda order, *_: _edges_in_image(order, torch.float64),
-    line_maxima=lambda order, *_: _edges_in_image(order, torch.uint8),
+    window_overlaps=lambda order, *_: of_one_size(order, (torch.int64,), (torch.float64,)),
+    line_maxima=lambda order, *_: of_one_size(order, (torch.int64,), (torch.uint8,)),
     boosted_trees=lambda values, *_: values.new_empty(len(values), dtype=torch.float64),
     agreement_sums=lambda *seen: _agreement_sums(seen[5], seen[6]),
     region_planes=lambda points, *_: (points.new_empty(points.shape), points.new_empty(points.shape)),
-    mask_merges=lambda edge_index, *_: _mask_merges(edge_index),
+    mask_merges=lambda edge_index, *_: of_one_size(edge_index, (torch.int64, 2), (torch.float64,)),
     local_spacing=lambda _points, reach, *_: torch.empty_like(reach),
     gap_components=lambda points, *_: points.new_empty(len(points), dtype=torch.int64),
     ground_heights=lambda azimuth, *_: torch.empty_like(azimuth),
     has_points_above=lambda *grid: grid[4].new_empty(grid[4].shape, dtype=torch.bool),
-    pair_counts=lambda _u, _v, pixel, *_: _pair_counts(pixel),
+    pair_counts=lambda u, *_: of_one_size(u, (torch.int64, 4), (torch.int64,)),
     segment_graphs=lambda labels, *_: _segment_graphs(labels),
     outvoted_markers=lambda markers, *_: markers.new_empty(markers.shape, dtype=torch.bool),
 )

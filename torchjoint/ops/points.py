@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchjoint.ops._call import call, dynamic_size, register_fakes
+from torchjoint.ops._call import call, dynamic_size, of_one_size, register_fakes
 from torchjoint.ops._checks import FLOATING, check_array, check_neighbors, check_number, check_order
 
 
@@ -211,16 +211,10 @@ def _nearest_neighbors(points: Tensor, count: int, num_distances: int, *_: objec
     return indices, points.new_empty((len(points), min(num_distances, count)))
 
 
-def _project(points: Tensor, *_: object) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    count = dynamic_size()
-    u, v, z = (points.new_empty(count) for _ in range(3))
-    return points.new_empty(count, dtype=torch.int64), u, v, z
-
-
 register_fakes(
     nearest_neighbors=_nearest_neighbors,
     neighbor_edges=lambda neighbors, *_: neighbors.new_empty((2, dynamic_size()), dtype=torch.int64),
     fit_normals=lambda points, *_: points.new_empty((len(points), 3), dtype=torch.float32),
-    project=_project,
+    project=lambda points, *_: of_one_size(points, (torch.int64,), *[(torch.float32,)] * 3),
     splat_depth=lambda _row, _column, depth, _reach, height, width: depth.new_empty(height, width),
 )

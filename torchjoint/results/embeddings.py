@@ -119,16 +119,9 @@ def _crop(scene: Scene, result: Segmentation, segment: int, index: int, whole: f
     around = round(margin * max(width, height))
     left, top = max(0, x - around), max(0, y - around)
     right, bottom = min(frame.size[1], x + width + around), min(frame.size[0], y + height + around)
-    name = result.names[index] or f"{index:06d}"
-    return Crop(
-        frame.image[:, top:bottom, left:right],
-        mask[top:bottom, left:right],
-        (left, top, right - left, bottom - top),
-        index,
-        name,
-        pixels,
-        whole,
-    )
+    box, name = (left, top, right - left, bottom - top), result.names[index] or f"{index:06d}"
+    image, mask = frame.image[:, top:bottom, left:right], mask[top:bottom, left:right]
+    return Crop(image, mask, box, index, name, pixels, whole)
 
 
 #: In a result's folder.

@@ -100,10 +100,8 @@ def count_masks(folder: Path) -> tuple[int, int, int] | None:
     if not has_file(folder / FILE):
         return None
     report = _read(folder)
-    masks, of_cloud = (
-        [mask for one in report["frames"] for mask in one["masks"]],
-        {one["id"] for one in report["segments"]},
-    )
+    masks = [mask for one in report["frames"] for mask in one["masks"]]
+    of_cloud = {one["id"] for one in report["segments"]}
     found = [mask["segment"] in of_cloud for mask in masks if mask["iou"] >= FOUND]
     return sum(found), len(found) - sum(found), len(masks)
 

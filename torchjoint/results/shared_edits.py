@@ -22,7 +22,7 @@ from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, dict_of, read_text
-from torchjoint.runtime.groups import best_of_groups
+from torchjoint.runtime.groups import best_of_groups, each_once
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.outputs import lock
 
@@ -228,13 +228,8 @@ def _matches(inside: csr_array, own: csr_array, segments: Sequence[int]) -> dict
     shared = (inside @ own.T).tocoo()
     either = inside.sum(1)[shared.row] + own.sum(1)[shared.col] - shared.data
     pairs = zip(-shared.data / either, shared.row.tolist(), shared.col.tolist(), strict=True)
-    found: dict[int, int] = {}
-    taken: set[int] = set()
-    for iou, number, place in sorted(pairs):
-        if -iou >= SAME and number not in found and place not in taken:
-            found[number] = segments[place]
-            taken.add(place)
-    return found
+    found = each_once((number, place) for iou, number, place in sorted(pairs) if -iou >= SAME)
+    return {number: segments[place] for number, place in found.items()}
 
 
 Steps = tuple[Edit, ...]

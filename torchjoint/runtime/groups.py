@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor
 
@@ -97,6 +99,21 @@ def counted_pairs(one: Tensor, other: Tensor, count: Tensor | None = None) -> Te
         key, place = torch.unique(one * width + other, return_inverse=True)
         total = torch.zeros_like(key).index_add_(0, place, count)
     return torch.stack([key // width, key % width, total])
+
+
+def each_once(pairs: Iterable[tuple[int, int]]) -> dict[int, int]:
+    """Matches greedily: takes the pairs, best first, of which neither number is in one that was taken before.
+
+    >>> each_once([(0, 5), (1, 5), (1, 3)])
+    {0: 5, 1: 3}
+    """
+    found: dict[int, int] = {}
+    taken: set[int] = set()
+    for one, other in pairs:
+        if one not in found and other not in taken:
+            found[one] = other
+            taken.add(other)
+    return found
 
 
 def starts_group(sorted_values: Tensor) -> Tensor:

@@ -33,6 +33,7 @@ from torchjoint.tiles.plan import NARROWEST, plan_tiles, survey
 from torchjoint.tiles.stitching import stitch
 from torchjoint.tiles.tile import TileTask, point_type, read_own, read_shared, segment_tile, split_points, tile_file
 
+Labels = npt.NDArray[np.unsignedinteger]
 #: The name of the new dimension.
 DIMENSION = "superpoint"
 #: Most points of a tile with its buffer: segmenting them takes about 0.7 GB.
@@ -253,7 +254,7 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLik
                 bar.update()
 
 
-def _stitch(cut: _Cut, work: Path) -> tuple[int, npt.NDArray[np.unsignedinteger]]:
+def _stitch(cut: _Cut, work: Path) -> tuple[int, Labels]:
     """Stitches the tiles; returns the number of superpoints and the labels [N], mapped from disk."""
     try:
         files = [_labels_file(work, number) for number in range(cut.num_tiles)]
@@ -269,14 +270,7 @@ def _stitch(cut: _Cut, work: Path) -> tuple[int, npt.NDArray[np.unsignedinteger]
     return count, np.load(path, mmap_mode="r")
 
 
-def _write(
-    cloud: Path,
-    files: Sequence[Path],
-    out: Path,
-    work: Path,
-    labels: npt.NDArray[np.unsignedinteger],
-    hidden: bool | None,
-) -> None:
+def _write(cloud: Path, files: Sequence[Path], out: Path, work: Path, labels: Labels, hidden: bool | None) -> None:
     """Writes copies of the files with labels."""
     made = work / "result"
     shutil.rmtree(made, ignore_errors=True)

@@ -19,6 +19,7 @@ from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.tiles.plan import Plan, Survey, read_points
 
+Array = npt.NDArray[Any]
 #: Bits of `kind`: the point belongs to this tile; the point is also in other tiles.
 OWN, SHARED = 1, 2
 
@@ -94,14 +95,7 @@ def _copies(
     return row[order], tile[order], kind[order]
 
 
-def _records(
-    points: LasPoints,
-    row: npt.NDArray[np.int64],
-    kind: npt.NDArray[np.uint8],
-    first: int,
-    corner: npt.NDArray[np.float64],
-    colored: bool,
-) -> npt.NDArray[Any]:
+def _records(points: LasPoints, row: Array, kind: Array, first: int, corner: Array, colored: bool) -> Array:
     records = np.empty(len(row), point_type(colored))
     records["number"] = first + row
     records["xyz"] = points.xyz[row] - corner  # in float64, then rounded

@@ -14,6 +14,7 @@ import torch
 from torchjoint.results.edits import Table
 from torchjoint.results.objects import oriented_box
 from torchjoint.results.parts import Parts
+from torchjoint.runtime.groups import each_once
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene.hierarchy import Confidence
 
@@ -85,17 +86,11 @@ class Measures:
         if segment not in self._rows:
             place = int(np.searchsorted(self._firsts, segment))
             start, count = int(self._starts[place]), int(self._counts[place])
-            sure = self.confidence
-            size = oriented_box(self._points[self._order[start : start + count]], self._up).size
-            self._rows[segment] = Row(
-                int(self.ids[segment]),
-                int(self.hues[segment]),
-                name,
-                count,
-                (float(size[0]), float(size[1]), float(size[2])),
-                len(self.frames_of(segment)) if self._frames else None,
-                None if sure is None else float(sure.of_segment[self._number[segment]]),
-            )
+            x, y, z = oriented_box(self._points[self._order[start : start + count]], self._up).size.tolist()
+            frames = len(self.frames_of(segment)) if self._frames else None
+            sure = None if self.confidence is None else float(self.confidence.of_segment[self._number[segment]])
+            key, hue = int(self.ids[segment]), int(self.hues[segment])
+            self._rows[segment] = Row(key, hue, name, count, (x, y, z), frames, sure)
         return replace(self._rows[segment], name=name)
 
     def rows(self, names: Mapping[int, str], search: str, order: str, most: int) -> tuple[list[Row], int]:
@@ -147,12 +142,8 @@ def kept_numbers(segment: Table, before: Table, number: Table) -> Table:
     """
     count = int(before.max()) + 1
     pairs, shared = np.unique(segment * count + before, return_counts=True)  # ascending
-    found: dict[int, int] = {}
-    taken: set[int] = set()
-    for one, earlier in zip(*np.divmod(pairs[np.argsort(-shared, kind="stable")], count), strict=True):
-        if one not in found and earlier not in taken:
-            found[one] = earlier
-            taken.add(earlier)
+    found = each_once(zip(*np.divmod(pairs[np.argsort(-shared, kind="stable")], count), strict=True))
+    taken = set(found.values())
     free = (candidate for candidate in itertools.count() if candidate not in taken)
     numbers = number.copy()
     for one in np.unique(segment):

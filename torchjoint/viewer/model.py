@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -123,10 +123,9 @@ class Model:
             "colours": scene.colors is not None,
             "confidence": hierarchy is not None and hierarchy.votes is not None,
             "initial": hierarchy is not None,
+            "truth": scene.truth is not None and scene.truth.points is not None,
         }
-        has["truth"] = scene.truth is not None and scene.truth.points is not None
-        modes: tuple[Mode, ...] = ("segments", "colours", "confidence", "initial", "truth")
-        return tuple(mode for mode in modes if has.get(mode, True))
+        return tuple(mode for mode in get_args(Mode) if has.get(mode, True))
 
     def color_by(self, mode: Mode) -> None:
         """Colours the points in another way."""

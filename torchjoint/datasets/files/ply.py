@@ -465,7 +465,7 @@ def read_records(path: Path) -> PlyRecords:
         records, rest = (_records_of_lines if header.encoding == "ascii" else _records_of_bytes)(data, header)
         if "vertex" not in records:
             raise ValueError("expected vertices without lists of several lengths")
-        return PlyRecords(_lines(data[: header.size]), header, records, rest)
+        return PlyRecords(data[: header.size].splitlines(keepends=True), header, records, rest)
 
 
 def _records_of_bytes(data: bytes, header: Header) -> tuple[dict[str, Array], bytes]:
@@ -489,7 +489,7 @@ def _records_of_bytes(data: bytes, header: Header) -> tuple[dict[str, Array], by
 
 
 def _records_of_lines(data: bytes, header: Header) -> tuple[dict[str, Array], bytes]:
-    lines, rest = _lines(data[header.size :]), b""
+    lines, rest = data[header.size :].splitlines(keepends=True), b""
     while lines and not lines[-1].strip():
         rest = lines.pop() + rest
     full = [element for element in header.elements if element.properties]
@@ -508,11 +508,6 @@ def _section(head: Sequence[bytes], element: str) -> tuple[int, int]:
     start = next(i for i, line in enumerate(head) if line.split()[:2] == [b"element", element.encode()])
     after = (i for i in range(start + 1, len(head)) if head[i].split()[:1] in ([b"element"], [b"end_header"]))
     return start, next(after)
-
-
-def _lines(text: bytes) -> list[bytes]:
-    """Lines with their ends."""
-    return text.splitlines(keepends=True)
 
 
 def _end(line: bytes) -> bytes:

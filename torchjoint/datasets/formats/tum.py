@@ -28,6 +28,7 @@ from torchjoint.datasets.files.readers import read_matrix
 from torchjoint.datasets.files.text import fields, frame_names, parse_numbers, path_inside, read_lines, read_timed_rows
 from torchjoint.datasets.recording import Options, Shot, posed, read_shots, scene_of_frames, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
+from torchjoint.runtime.groups import each_once
 from torchjoint.scene import Frame, Scene
 
 WHAT = "rgb.txt and groundtruth.txt, as of the TUM RGB-D benchmark"
@@ -90,13 +91,7 @@ def associate(first: Sequence[float], second: Sequence[float], tolerance: float 
             difference = abs(first[i] - second[j])
             if difference <= tolerance:
                 candidates.append((difference, i, j))
-    pairs: dict[int, int] = {}
-    taken: set[int] = set()
-    for _, i, j in sorted(candidates):
-        if i not in pairs and j not in taken:
-            pairs[i] = j
-            taken.add(j)
-    return sorted(pairs.items())
+    return sorted(each_once((i, j) for _, i, j in sorted(candidates)).items())
 
 
 def _read_files(path: Path) -> list[tuple[float, Path]]:

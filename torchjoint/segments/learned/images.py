@@ -96,13 +96,9 @@ def segments_of_superpoints(superpoint: Tensor, observations: Sequence[Observati
     superpoints, labels, counts, sizes = zip(*parallel_map(count_points, observations), strict=True)
     num_labels = torch.tensor([len(size) for size in sizes])
     first = num_labels.cumsum(0) - num_labels
-    return ImageCounts(
-        torch.cat(superpoints),
-        torch.cat([label + start for label, start in zip(labels, first.tolist(), strict=True)]),
-        torch.cat(counts),
-        torch.cat(sizes),
-        torch.repeat_interleave(torch.arange(len(sizes)), num_labels),
-    )
+    segment = torch.cat([label + start for label, start in zip(labels, first.tolist(), strict=True)])
+    frame_of_segment = torch.repeat_interleave(torch.arange(len(sizes)), num_labels)
+    return ImageCounts(torch.cat(superpoints), segment, torch.cat(counts), torch.cat(sizes), frame_of_segment)
 
 
 #: An image counts for a region only if it sees at least this many points of the region.

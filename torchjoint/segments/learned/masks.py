@@ -232,20 +232,9 @@ def _frames_that_see_most(in_frame: Tensor, num_superpoints: int, num_frames: in
 def _merges_of_parts(edge_index: Tensor, size: Tensor, masks: MaskCounts | None) -> Tensor:
     """The merges [2, M] of regions that the masks do not separate; `size` [R] is their number of points."""
     assert masks is not None  # the observations have masks
-    tables = masks.of_regions(torch.arange(len(size)))
-    prior = torch.zeros(edge_index.shape[1], dtype=torch.float32)
-    return mask_merges(
-        edge_index,
-        prior,
-        torch.ones_like(edge_index[0]),
-        size,
-        *tables,
-        masks.weight,
-        masks.frame_of_mask,
-        APART_WEIGHT,
-        PRIOR_WEIGHT,
-        THRESHOLD,
-    )[0]
+    tables = (*masks.of_regions(torch.arange(len(size))), masks.weight, masks.frame_of_mask)
+    prior, one = torch.zeros(edge_index.shape[1], dtype=torch.float32), torch.ones_like(edge_index[0])
+    return mask_merges(edge_index, prior, one, size, *tables, APART_WEIGHT, PRIOR_WEIGHT, THRESHOLD)[0]
 
 
 #: Number of frames whose points are held in memory at a time.

@@ -108,20 +108,11 @@ def statistics_of_points(region: Tensor, surface: Surface, inner: Iterable[Inner
     roughness, texture = _means_of_edges(inner, size)
     if texture is not None and colored is not None:
         texture = torch.where(colored > 0, texture, torch.nan)
+    covariance, bulge = mean_of(lambda at: _outer(away(at))), mean_of(lambda at: dot(away(at), outward(at)))
+    normal, noise, spacing = (mean_of(of.__getitem__) for of in (surface.normals, surface.noise, surface.spacing))
+    out = mean_of(outward)
     return RegionStatistics(
-        count,
-        mean,
-        mean_of(lambda at: _outer(away(at))),
-        mean_of(lambda at: surface.normals[at]),
-        mean_of(lambda at: surface.noise[at]),
-        mean_of(lambda at: surface.spacing[at]),
-        color,
-        variance,
-        mean_of(outward),
-        mean_of(lambda at: dot(away(at), outward(at))),
-        roughness,
-        texture,
-        colored,
+        count, mean, covariance, normal, noise, spacing, color, variance, out, bulge, roughness, texture, colored
     )
 
 

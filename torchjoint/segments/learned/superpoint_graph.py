@@ -79,12 +79,9 @@ def masks_of_superpoints(
     ]
     in_frame = [rows for _, rows, *_ in tables]
     scores = torch.cat([scores for _, _, scores, _ in tables])
-    return MaskCounts(
-        torch.cat(in_mask, 1),
-        torch.cat(in_frame, 1),
-        (scores.double() * WEIGHT_UNIT).round().long(),
-        torch.cat([torch.full((len(scores),), frame) for _, _, scores, frame in tables]),
-    )
+    weight = (scores.double() * WEIGHT_UNIT).round().long()
+    frame_of_mask = torch.cat([torch.full((len(scores),), frame) for _, _, scores, frame in tables])
+    return MaskCounts(torch.cat(in_mask, 1), torch.cat(in_frame, 1), weight, frame_of_mask)
 
 
 def _count(
