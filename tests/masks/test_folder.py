@@ -65,6 +65,18 @@ def test_each_kind_of_file(tmp_path):
     assert [len(frame.masks) for frame in masked.frames] == [1, 1, 2, 3, 1]
 
 
+def test_names_in_an_archive_of_ones_own(tmp_path):
+    stack = np.zeros((2, *SIZE), bool)
+    stack[0, 0, 0] = stack[1, 1, 1] = True
+    labels = np.where(stack[0], 5, np.where(stack[1], 9, -1))
+    for name, masks in (("stack", stack), ("labels", labels)):
+        np.savez(tmp_path / f"{name}.npz", masks=masks, scores=[0.5, 1.0], names=["cup", "book"])
+        assert tj.masks.read_masks(tmp_path / f"{name}.npz").names == ("cup", "book")
+    np.savez(tmp_path / "few.npz", masks=stack, names=["cup"])
+    with pytest.raises(ValueError, match=r"few.npz.*names: expected one for each of 2 masks, got 1"):
+        tj.masks.read_masks(tmp_path / "few.npz")
+
+
 def test_a_coco_file(tmp_path):
     images = [{"id": i, "file_name": f"left/{name}.jpg", "height": 6, "width": 8} for i, name in enumerate("ba")]
     annotations = [{"id": 7, "image_id": 1, "segmentation": [[0, 0, 4, 0, 4, 6, 0, 6]], "category_id": 1}]

@@ -110,13 +110,13 @@ def _read_npz(path: Path) -> Masks:
         return Masks(tensors[0], tensors[1], tensors[2], ids, names)
     if "masks" not in arrays:
         raise ValueError(f"{path}: expected masks, and optional scores, got {', '.join(arrays) or 'nothing'}")
-    masks, scores = arrays["masks"], arrays.get("scores")
+    masks, scores, names = arrays["masks"], arrays.get("scores"), tuple(map(str, arrays.get("names", ())))
     if masks.ndim != 3:
-        return from_labels(masks, scores)
+        return replace(from_labels(masks, scores), names=names)
     of_masks = as_scores(scores, "scores")
     each = (pixels_of(mask, None, f"masks[{index}]") for index, mask in enumerate(masks))
     of_masks = torch.ones(len(masks)) if of_masks is None else of_masks
-    return merged(each, len(masks), (masks.shape[1], masks.shape[2]), of_masks, "masks")
+    return replace(merged(each, len(masks), (masks.shape[1], masks.shape[2]), of_masks, "masks"), names=names)
 
 
 def _read_pngs(path: Path) -> Masks:
