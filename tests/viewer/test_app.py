@@ -210,6 +210,23 @@ def test_a_page_whose_camera_never_changes_sees_the_whole_cloud(out):
     viewer.stop()
 
 
+def test_a_page_that_goes_to_the_first_view_late_is_fitted_again(out):
+    """viser sends the first view of all pages and that of one page in two queues; the former may come last."""
+    viewer = opened(out, 8990)
+    camera = SimpleNamespace(aspect=0.9, position=np.ones(3), wxyz=np.array([1.0, 0, 0, 0]), on_update=lambda _: None)
+    page = SimpleNamespace(client_id=7, camera=camera, atomic=nullcontext)
+    viewer._on_camera(page)
+    fitted = camera.position
+    camera.position = viewer.server.initial_camera.position
+    assert not np.allclose(fitted, camera.position)
+    viewer._on_camera(page)
+    assert np.allclose(fitted, camera.position)
+    camera.position = fitted + 0.1  # turned by hand
+    viewer._on_camera(page)
+    assert np.allclose(fitted + 0.1, camera.position)
+    viewer.stop()
+
+
 def test_a_page_on_its_way_to_a_photo_is_not_fitted_again(out):
     """The page tells of its old place once more, in a canvas that has changed, after the server has moved it."""
     viewer = opened(out, 8990)

@@ -135,9 +135,11 @@ class Eyes:
     def follow(self, client: Any, scene: Scene) -> bool:
         """Takes note of where a page looks from now; whether it has left the photo at which it stood."""
         fitted_at, aspect = self._fitted.get(client.client_id, (client.camera.position, 0.0))
-        is_there = np.abs(fitted_at - client.camera.position).max() < 1e-3 * self._distance
+        places = np.stack([fitted_at, self._server.initial_camera.position])
+        is_fitted, is_new = np.abs(places - client.camera.position).max(1) < 1e-3 * self._distance
         stands = self._standing.get(client.client_id)
-        if stands is None and is_there and aspect != client.camera.aspect:  # nobody has turned it
+        # Nobody has turned it; a page may go to the first view of all pages after it was told its own.
+        if stands is None and (is_new or (is_fitted and aspect != client.camera.aspect)):
             self.show_all(client, scene)
         if stands is not None and abs(stands @ client.camera.wxyz) > 0.9999:
             self._arrived.add(client.client_id)  # before that, a page may still tell where it was
