@@ -71,9 +71,8 @@ def from_stack(stack: Any, scores: Any = None, names: Sequence[str] = ()) -> Mas
     >>> from_stack(torch.tensor([[[1, 1, 0]], [[1, 0, 0]]]), scores=[0.9, 0.8])
     Masks(2 masks, 1 x 3 pixels, 67% covered)
     """
-    return replace(
-        Masks.from_stack(as_binary(stack, "stack"), as_scores(scores, "scores"), "stack"), names=tuple(names)
-    )
+    found = Masks.from_stack(as_binary(stack, "stack"), as_scores(scores, "scores"), "stack")
+    return replace(found, names=tuple(names))
 
 
 @on_cpu()
