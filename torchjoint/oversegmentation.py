@@ -219,9 +219,8 @@ def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     weights = geometric_weights(cloud.points, edges, normals, all_oriented, terms, cloud.colors)
     labels = ops.felzenszwalb(edges, weights, len(cloud.points), config.scale, config.min_size)
     if config.joining:
-        between = labels[edges[0]] != labels[edges[1]]
-        ends, costs = labels[edges[:, between]], weights[between].clamp_(max=1024)
-        labels = ops.merge_regions(ends, costs, labels.bincount(), config.joining, by_size=True)[labels]
+        size, costs = labels.bincount(), weights.clamp_(max=1024)  # the operator's largest
+        labels = ops.merge_regions(labels[edges], costs, size, config.joining, by_size=True)[labels]
     return labels if of_point is None else labels[of_point]
 
 

@@ -164,10 +164,10 @@ class RegionAdjacencyGraph {
     return number;
   }
 
-  // Repeatedly merges the two regions of the weakest boundary with `may_merge(border)`. `may_merge` of a boundary may
-  // become true, and its cost fall, only when it is joined with another one. `on_merge(number)` is called before each
-  // merge; if it returns false, they do not merge. Afterwards `region` of a boundary holds the merged regions on its
-  // sides.
+  // Repeatedly merges the two regions of the weakest boundary with `may_merge(border)`, until there is none. `may_merge`
+  // of a boundary may change from false to true, and its cost may fall, only when the boundary is joined with another
+  // one. `on_merge(number)` is called before each merge; if it returns false, the two regions do not merge. Afterwards
+  // `region` of a boundary holds the merged regions on its two sides.
   template <typename MayMerge, typename OnMerge, typename Cost = MeanCost>
   void merge_weakest(const MayMerge& may_merge, const OnMerge& on_merge, const Cost& cost = {}) {
     if (is_gone_.empty()) list_borders();
