@@ -72,6 +72,11 @@ def test_names_in_an_archive_of_ones_own(tmp_path):
     for name, masks in (("stack", stack), ("labels", labels)):
         np.savez(tmp_path / f"{name}.npz", masks=masks, scores=[0.5, 1.0], names=["cup", "book"])
         assert tj.masks.read_masks(tmp_path / f"{name}.npz").names == ("cup", "book")
+    unsigned = np.where(stack[0], 5, np.where(stack[1], 9, 0)).astype(np.uint8)  # -1 is no number of theirs
+    np.savez(tmp_path / "zero.npz", masks=unsigned, score=[0.5, 1.0])
+    with pytest.warns(UserWarning, match=r"zero\.npz: expected masks, scores and names; not read: score"):
+        assert tj.masks.read_masks(tmp_path / "zero.npz").covered().sum() == 2
+    assert len(tj.masks.from_labels(torch.from_numpy(unsigned))) == 2
     np.savez(tmp_path / "few.npz", masks=stack, names=["cup"])
     with pytest.raises(ValueError, match=r"few.npz.*names: expected one for each of 2 masks, got 1"):
         tj.masks.read_masks(tmp_path / "few.npz")
@@ -128,9 +133,28 @@ def coco_of_squares(path, side, category):
 
 
 def test_polygons_of_smaller_images_are_told(tmp_path):
-    with pytest.warns(UserWarning, match=r"a\.json: all polygons lie in a quarter of the width and height"):
+    with pytest.warns(UserWarning, match=r"a\.json: all polygons lie in one corner of the images"):
         coco_of_squares(tmp_path / "a.json", 1.5, 1)
-    coco_of_squares(tmp_path / "b.json", 2, 1)  # in silence
+    with pytest.warns(UserWarning, match=r"b\.json: 10 of 10 polygons reach beyond their images: .*or y before x"):
+        coco_of_squares(tmp_path / "b.json", 7, 1)
+    for side in (2, 6):  # in silence
+        coco_of_squares(tmp_path / "c.json", side, 1)
+
+
+def test_annotations_that_contradict_themselves(tmp_path):
+    image = {"id": 1, "file_name": "a.jpg", "height": 6, "width": 8}
+    record = {"id": 3, "image_id": 1, "segmentation": [[0, 0, 4, 0, 4, 2, 0, 2]], "bbox": [0, 0, 4, 2]}
+    path = tmp_path / "a.json"
+
+    def read(*annotations):
+        path.write_text(json.dumps({"images": [image], "annotations": annotations}))
+        return tj.masks.read_folder(path, scene_of("a")).frames[0].masks
+
+    assert len(read(record, record | {"id": 4, "bbox": []})) == 2
+    with pytest.raises(ValueError, match=r"a\.json: .*: annotation 3 is there twice"):
+        read(record, record)
+    with pytest.raises(ValueError, match=r"annotations\[0\]'s segmentation: expected a mask in its bbox \[3, 0, 2, 2\]"):
+        read(record | {"bbox": [3, 0, 2, 2], "segmentation": [[0, 0, 1, 0, 1, 6, 0, 6]]})
 
 
 def test_unknown_categories_are_told(tmp_path):

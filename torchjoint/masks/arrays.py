@@ -82,7 +82,7 @@ def from_labels(labels: Any, scores: Any = None, none: int = -1) -> Masks:
     Args:
         labels: [H, W] integers, a mask for each value.
         scores: optional [M] in [0, 1], a score for each mask, in ascending order of the values; default 1.
-        none: the value of pixels without a mask, -1 or 0.
+        none: the value of pixels without a mask, -1 or 0. It is 0 in labels without a sign.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -91,4 +91,6 @@ def from_labels(labels: Any, scores: Any = None, none: int = -1) -> Masks:
     >>> from_labels(torch.tensor([[0, 0, 3], [0, 7, 7]]), none=0)
     Masks(2 masks, 2 x 3 pixels, 50% covered)
     """
-    return Masks.from_labels(as_tensor(labels, "labels"), as_scores(scores, "scores"), none, "labels")
+    found = as_tensor(labels, "labels")
+    none = 0 if "uint" in str(labels.dtype) else none
+    return Masks.from_labels(found, as_scores(scores, "scores"), none, "labels")

@@ -11,8 +11,8 @@ from typing import Any
 
 import torch
 
-from torchjoint.masks.segmentation import check_declared, merged, pixels_of
-from torchjoint.runtime.foreign_files import damage_is, dict_of, read_json
+from torchjoint.masks.segmentation import Pixels, check_box, check_declared, merged, pixels_of
+from torchjoint.runtime.foreign_files import damage_is, dict_of, no_twice, read_json
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
 
@@ -39,10 +39,7 @@ def from_coco(
     annotations = _without_groups(annotations, "annotations")
     scores = torch.tensor([_score(one, f"annotations[{i}]") for i, one in enumerate(annotations)], dtype=torch.float32)
     check_declared((annotation["segmentation"] for annotation in annotations), size, "annotations")
-    masks = (
-        pixels_of(annotation["segmentation"], size, f"annotations[{index}]'s segmentation")
-        for index, annotation in enumerate(annotations)
-    )
+    masks = (_pixels(one, size, f"annotations[{index}]'s segmentation") for index, one in enumerate(annotations))
     found = merged(masks, len(annotations), size, scores, "annotations")
     ids = [one["id"] for one in annotations if isinstance(one.get("id"), int)]
     names = [str(categories.get(one.get("category_id", -1), "")) for one in annotations] if categories else []
@@ -58,6 +55,12 @@ def _without_groups(annotations: Sequence[Mapping[str, Any]], name: str) -> list
     return [one for one, is_group in zip(annotations, groups, strict=True) if not is_group]
 
 
+def _pixels(annotation: Mapping[str, Any], size: tuple[int, int], name: str) -> Pixels:
+    found = pixels_of(annotation["segmentation"], size, name)
+    check_box(annotation, *found, name)
+    return found
+
+
 def _score(annotation: Mapping[str, Any], name: str) -> float:
     if not isinstance(annotation, Mapping) or "segmentation" not in annotation:
         raise ValueError(f"{name}: expected a dict with segmentation, got {type(annotation).__name__}")
@@ -67,14 +70,20 @@ def _score(annotation: Mapping[str, Any], name: str) -> float:
     return float(min(score, 2))  # a huge integer has no float; 2 is refused, too
 
 
-def _are_of_smaller_images(annotations: Sequence[Mapping[str, Any]], images: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether all polygons, at least five, lie in the first quarter of both sides of their images."""
+def _tell_other_sizes(annotations: Sequence[Mapping[str, Any]], images: Sequence[Mapping[str, Any]], name: str) -> None:
+    """Warns if polygons seem to be of images of other sizes, or to have exchanged axes."""
     with suppress(ArithmeticError, LookupError, TypeError, ValueError):  # damage, of which reading tells; run lengths
-        sizes = {image["id"]: (image["width"] / 4, image["height"] / 4) for image in images}
+        sizes = {image["id"]: (image["width"], image["height"]) for image in images}
         polygons = [(corners, sizes[one["image_id"]]) for one in annotations for corners in one["segmentation"]]
-        inside = (max(corners[::2]) <= right and max(corners[1::2]) <= low for corners, (right, low) in polygons)
-        return len(polygons) >= 5 and all(inside)
-    return False
+        reach = [max(max(xy[::2]) / width, max(xy[1::2]) / height) for xy, (width, height) in polygons]
+        beyond = sum(share > 1.02 for share in reach)
+        if beyond > 0.1 * len(reach):
+            told = f"{beyond} of {len(reach)} polygons reach beyond their images: of other sizes, or y before x?"
+        elif len(reach) >= 5 and max(reach) <= (0.25 if len(reach) < 20 else 0.5):
+            told = "all polygons lie in one corner of the images: were they drawn in smaller ones?"
+        else:
+            return
+        warnings.warn(f"{name}: {told}", stacklevel=4)
 
 
 class CocoFile:
@@ -90,6 +99,7 @@ class CocoFile:
             self._images = {Path(image["file_name"]).stem: image for image in data["images"]}
             self._annotations = dict_of([(image["id"], []) for image in data["images"]], "image")
             annotations = _without_groups(data["annotations"], str(path))
+            no_twice((one["id"] for one in annotations if "id" in one), "annotation")
             for annotation in annotations:
                 self._annotations[annotation["image_id"]].append(annotation)
             named = [(one["id"], str(one["name"])) for one in data.get("categories", []) if "name" in one]
@@ -100,9 +110,7 @@ class CocoFile:
         if unknown and self._categories:
             told = f"{path}: no category has the id of some masks, which get no name"
             warnings.warn(f"{told}: {sorted(unknown, key=str)[:9]}", stacklevel=3)
-        if _are_of_smaller_images(annotations, data["images"]):
-            told = "all polygons lie in a quarter of the width and height: were they drawn in smaller images?"
-            warnings.warn(f"{path}: {told}", stacklevel=3)
+        _tell_other_sizes(annotations, data["images"], str(path))
 
     @property
     def names(self) -> list[str]:

@@ -44,7 +44,7 @@ def read_masks(path: Path | str) -> Masks:
             * a folder of PNGs, each one mask (0 outside), in the order of their numbers, and an optional
               ``metadata.csv`` with scores, as SAM's command line writes it;
             * ``NAME.npz``: what :func:`save_masks` wrote; or ``masks`` ([M, H, W] booleans, or labels [H, W], -1 =
-              none), and optional ``scores``;
+              none, or 0 if they have no sign), and optional ``scores``;
             * ``NAME.json``: SAM's list of dicts with run lengths, or SA-1B's dict with such a list as ``annotations``.
 
     Raises:
@@ -110,6 +110,8 @@ def _read_npz(path: Path) -> Masks:
         return Masks(tensors[0], tensors[1], tensors[2], ids, names)
     if "masks" not in arrays:
         raise ValueError(f"{path}: expected masks, and optional scores, got {', '.join(arrays) or 'nothing'}")
+    if unread := ", ".join(set(arrays) - {"masks", "scores", "names"}):
+        warnings.warn(f"{path}: expected masks, scores and names; not read: {unread}", stacklevel=2)
     masks, scores, names = arrays["masks"], arrays.get("scores"), tuple(map(str, arrays.get("names", ())))
     if masks.ndim != 3:
         return replace(from_labels(masks, scores), names=names)

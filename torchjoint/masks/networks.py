@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from torchjoint.masks.arrays import as_binary, as_scores, as_tensor
-from torchjoint.masks.segmentation import Pixels, check_declared, merged, pixels_of
+from torchjoint.masks.segmentation import Pixels, check_box, check_declared, merged, pixels_of
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_labels
 from torchjoint.scene.masks import INT64, Masks
@@ -23,7 +23,7 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
     Args:
         records: a dict for each mask: ``segmentation`` (array [H, W], or COCO run lengths, compressed or not);
             optional ``predicted_iou`` and ``stability_score``, whose product, clipped to [0, 1], is the score; optional
-            ``area``, which must be the mask's number of pixels.
+            ``area``, which must be the mask's number of pixels, and ``bbox``, around it.
         size: (H, W) of the image; required if `records` may be empty.
 
     Raises:
@@ -46,6 +46,7 @@ def _pixels(record: Mapping[str, Any], size: tuple[int, int] | None, name: str) 
     area = record.get("area")
     if area is not None and area != len(pixels):
         raise ValueError(f"{name}'s area: expected the mask's {len(pixels)} pixels, got {area}")
+    check_box(record, own, pixels, f"{name}'s segmentation")
     return own, pixels
 
 

@@ -53,6 +53,17 @@ def pixels_of(segmentation: Any, size: Size | None, name: str) -> Pixels:
     return own, pixels
 
 
+def check_box(record: Mapping[str, Any], size: Size, pixels: npt.NDArray[np.int64], name: str) -> None:
+    """Checks that most of a mask lies in the box x, y, width, height that its record gives: else axes are exchanged."""
+    box = record.get("bbox") or ()
+    is_box = len(box) == 4 and all(isinstance(of, (int, float)) for of in box) and min(box[2:]) > 0
+    if is_box and len(pixels):
+        row, column = np.divmod(pixels, size[1])
+        beside = [np.abs(at - low - side / 2) > 2 + 0.6 * side for at, low, side in zip((column, row), box, box[2:])]
+        if np.logical_or(*beside).mean() > 0.5:
+            raise ValueError(f"{name}: expected a mask in its bbox {list(box)}, got most pixels beside it")
+
+
 def _filled(polygons: Sequence[Any], size: Size, name: str) -> npt.NDArray[np.int64]:
     """The pixels whose centres lie in one of the polygons; COCO's pixel centres have coordinates that end with .5."""
     pixels = [np.empty(0, np.int64), *(polygon_pixels(corners, size) for corners in _corners(polygons, name))]
