@@ -457,7 +457,7 @@ class JointSegmenter(nn.Module):
         if other.config != self.config:
             raise ValueError("other: expected a segmenter with the same config")
         if self._graph is None or other._graph is None or not self._graph.is_same(other._graph):
-            raise ValueError("other: expected a segmenter that was reset with the same points")
+            raise ValueError("other: expected a segmenter that was reset with the same points and colours")
         both = set(filter(None, self.state.observations.names)) & set(other.state.observations.names)
         if other is self or both:
             raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
