@@ -424,6 +424,9 @@ class TestEdges:
         second.reset(synthetic.scene.points + 1)
         with pytest.raises(ValueError, match="same points"):
             first.merge(second)
+        second.reset(synthetic.scene.points, synthetic.scene.colors)
+        with pytest.raises(ValueError, match="same points and colours"):
+            first.merge(second)
         with pytest.raises(ValueError, match="same config"):
             first.merge(tj.JointSegmenter(PAPER))
         second.reset(synthetic.scene.points)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import logging
 import math
 import warnings
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import copy_context
 from copy import copy
@@ -170,6 +171,7 @@ class JointSegmenter(nn.Module):
         self.stopwatch = Stopwatch()
         self._own_method = method
         self._given: Tensor | None = None
+        self._checksum: int | None = None  # of all points, also of beams without return
         self._method: Method | None = None
         self._graph: PointGraph | None = None
         self._pose_check: PoseCheck | None = None  # of frames that come one by one
@@ -259,8 +261,7 @@ class JointSegmenter(nn.Module):
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
         self._reset(scene.cloud)
-        checked = frames_to_check(scene)
-        if checked:
+        if checked := frames_to_check(scene):
             check = self._new_check(scene.name)
             check.check_all(checked.values())
             check.warn()
@@ -307,7 +308,7 @@ class JointSegmenter(nn.Module):
         self._reset(Cloud.checked(points, colors, normals))
 
     def _reset(self, given: Cloud) -> None:
-        self.stopwatch = Stopwatch()
+        self.stopwatch, self._checksum = Stopwatch(), zlib.crc32(given.points.contiguous().numpy().data)
         kept = kept_points(given.points, "points", "keep", "drop many").nonzero().squeeze(1)
         num_given, given = len(given.points), given if len(kept) == len(given.points) else given.selected(kept)
         with one_thread_per_operation(), self.stopwatch("point graph"):
@@ -390,6 +391,7 @@ class JointSegmenter(nn.Module):
                 tree = context.run(method.segment, graph, evidence, config)
                 bar.update(1 - bar.n)
             found = label(tree, graph, evidence, config, clock, images=images, progress=progress)
+        found = replace(found, cloud_checksum=self._checksum)
         return found if self.granularity == 0.5 else found.at(self.granularity)
 
     def _method_of(self, config: Config | None) -> Method:
@@ -457,7 +459,7 @@ class JointSegmenter(nn.Module):
         if other.config != self.config:
             raise ValueError("other: expected a segmenter with the same config")
         if self._graph is None or other._graph is None or not self._graph.is_same(other._graph):
-            raise ValueError("other: expected a segmenter that was reset with the same points")
+            raise ValueError("other: expected a segmenter that was reset with the same points and colours")
         both = set(filter(None, self.state.observations.names)) & set(other.state.observations.names)
         if other is self or both:
             raise ValueError(f"other: expected a segmenter that saw other frames, both saw {sorted(both)[:3]}")
@@ -470,12 +472,10 @@ class JointSegmenter(nn.Module):
 
 def _warn_of_unused_inputs(frame: Frame, method: Method) -> None:
     """Logs that images do not affect the segments of the points; warns if frames have masks or labels for this."""
-    name = method.name
-    logger.info(f"frames: method {name} segments the points without images; images only get the points' labels")
-    given = "masks" if frame.masks is not None else "labels" if frame.labels is not None else ""
-    if given:
+    logger.info(f"frames: method {method.name} segments the points without images; images only get the points' labels")
+    if given := "masks" if frame.masks is not None else "labels" if frame.labels is not None else "":
         warnings.warn(
-            f"{given} of frames: method {name} segments the points without images, so these {given} have no effect "
-            "on the points; point_segments.method=learned uses them",
+            f"{given} of frames: method {method.name} segments the points without images, so these {given} have no "
+            "effect on the points; point_segments.method=learned uses them",
             stacklevel=4,
         )

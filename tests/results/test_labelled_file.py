@@ -272,6 +272,16 @@ def test_a_file_that_was_moved_is_told():
         nearest_labels(result, points + torch.tensor([0.0, 0, 5]))
 
 
+def test_a_cloud_that_was_mirrored_is_told(scene_of):
+    """In a room with walls all around, half of its points are within four spacings of others."""
+    scene = scene_of(3).scene
+    result = result_of(scene.points, torch.zeros(len(scene.points), dtype=torch.int64))
+    axis, box = torch.tensor([1.0, 0, 0]), scene.points.amin(0) + scene.points.amax(0)
+    with pytest.warns(UserWarning, match="was the file moved"):
+        nearest_labels(result, scene.points * (1 - 2 * axis) + axis * box)
+    nearest_labels(result, scene.points.flip(0) + 1e-4)  # without a warning
+
+
 def test_a_file_of_more_than_was_segmented_is_told():
     points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
     more = torch.cat([points, points[:300] + 500])

@@ -24,7 +24,7 @@ CONFIG = tj.Config().set(["point_segments.method=learned", "boundary.detector=gr
 NAMES = (
     "../../../victim/PWN", "{root}/victim/PWN", "a/b", "..", ".", "nul\0.", "half \ud800", "n" * 300, "ü" * 200,
     "$\\frac$", "plain name", ".hidden",
-    "a\x1b[2Jb\tc\u202e",
+    "a\x1b[2Jb\tc\u202e", "Plain Name", "plain NAME",
 )  # fmt: skip
 
 
@@ -37,7 +37,7 @@ def run(scene_of):
     scene = replace(scene, frames=(scene.frames[0],) * count, truth=None)
     return scene, replace(
         result, images=[result.images[0]] * count, initial_images=[result.initial_images[0]] * count,
-        superpoint_images=[result.superpoint_images[0]] * count,
+        superpoint_images=[result.superpoint_images[0]] * count, names=(scene.frames[0].name,) * count,
     )  # fmt: skip
 
 
@@ -62,6 +62,8 @@ def test_any_name_is_written_read_and_exported(run, place, tmp_path):
     out = place / "out"
     out.mkdir()
     write_result(out, scene, result, CONFIG, "test")
+    for part in ("images", "inputs", "images_color", "pieces"):  # also on a disk that does not know cases
+        assert len({file.name.casefold() for file in (out / part).iterdir()}) == len(names)
     read = tj.load_result(out)
     assert sorted(read.names) == sorted(names)
     for index, name in enumerate(read.names):

@@ -221,6 +221,14 @@ class TestCrops:
         with pytest.raises(ValueError, match="scene: expected 6000 points and 6 frames, got 3 and 0"):
             tj.Result.of(result, tj.Scene(torch.rand(3, 3)))
 
+    def test_points_or_frames_in_another_order(self, result):
+        scene = result.scene
+        with pytest.raises(ValueError, match="expected the points that were segmented, in their order, got others"):
+            tj.Result.of(result, scene.select_points(torch.arange(6000).roll(1)))
+        with pytest.raises(ValueError, match=r"expected frame 'frame-000000', got 'frame-000005'; of another order"):
+            tj.Result.of(result, scene.select_frames(range(5, -1, -1)))
+        assert tj.Result.of(result.at(0.9), tj.Scene(scene.points.double(), scene.frames)).names == result.names
+
 
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools about itself
 class TestExports:

@@ -102,6 +102,12 @@ def rotation_scaled(factor):
         ({"image": torch.rand(3, 0, 6)}, ValueError, r"image of frame 'f': expected at least one pixel"),
         ({"image": IMAGE * 255}, ValueError, r"image of frame 'f': expected values in \[0, 1\]"),
         ({"image": IMAGE / 0 - IMAGE / 0}, ValueError, r"image of frame 'f': expected finite values"),
+        (
+            {"world_to_camera": POSE.half()},
+            TypeError,
+            "world_to_camera of frame 'f': .* got torch.float16; give float32",
+        ),
+        ({"intrinsics": K.bfloat16()}, TypeError, "intrinsics of frame 'f': .* got torch.bfloat16; give float32"),
         ({"image": IMAGE.long()}, TypeError, r"image of frame 'f': expected a floating dtype"),
         ({"intrinsics": torch.eye(4)}, ValueError, r"intrinsics of frame 'f': expected shape \[3, 3\], got \[4, 4\]"),
         ({"intrinsics": torch.zeros(3, 3)}, ValueError, r"intrinsics of frame 'f': expected \[\[fx, s, cx\]"),

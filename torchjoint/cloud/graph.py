@@ -75,9 +75,8 @@ class PointGraph:
     @cached_property
     def spacing(self) -> Tensor:
         """Mean distance of each point to its nearest neighbours, [N] metres."""
-        if self.known_spacing is not None:
-            return self.known_spacing
-        return nearest_neighbors(self.points, SPACING_NEIGHBORS).spacing
+        known = self.known_spacing
+        return nearest_neighbors(self.points, SPACING_NEIGHBORS).spacing if known is None else known
 
     @property
     def num_points(self) -> int:
@@ -90,8 +89,9 @@ class PointGraph:
 
     def is_same(self, other: PointGraph) -> bool:
         """Whether evidence of frames that was collected with one graph is valid for the other."""
+        colors, others = (one.points[:0] if one.colors is None else one.colors for one in (self, other))
         same = torch.equal(self.points, other.points) and torch.equal(self.normals, other.normals)
-        return same and self.local.is_same(other.local)
+        return same and torch.equal(colors, others) and self.local.is_same(other.local)
 
 
 def build_point_graph(cloud: Cloud, neighbors: int, normal_neighbors: int | Scales) -> PointGraph:

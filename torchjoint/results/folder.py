@@ -332,8 +332,7 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     up = None if up is None else torch.tensor(up, dtype=torch.float64)
     scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name, up=up)
     values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
-    vectors = read_embeddings(folder, len(stored.points))
-    names = names_of_masks(folder)
+    names, vectors = names_of_masks(folder), read_embeddings(folder, len(stored.points))
     result = Result(**values, scene=scene, config=config, saved_embeddings=vectors, segment_names=names)
     if not edits or not has_file(folder / EDITS):
         return result

@@ -19,7 +19,7 @@ from torchjoint.datasets.files.readers import read_image
 from torchjoint.results.figures import overlay
 from torchjoint.results.manifest import Check, unchecked
 from torchjoint.results.mask_report import MaskMatches, compare_masks, write_mask_report
-from torchjoint.runtime.files import file_name, frame_files, write_text
+from torchjoint.runtime.files import frame_files, write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
 from torchjoint.runtime.threads import LazySequence, parallel_map
 from torchjoint.scene import Frame, Masks, Scene, Segmentation
@@ -68,13 +68,12 @@ def read_names(folder: Path) -> dict[str, str]:
     """The name of each file of `inputs/`, without suffix, by the true name of its frame; none without cameras.json."""
     stored = {file.stem for file in (folder / INPUTS).glob("*.jpg")}  # earlier versions had longer names
     names = [str(name) for name in _read_cameras(folder)] if has_file(folder / CAMERAS) else []
-    return {name: name if name in stored else file_name(name) for name in names}
+    return {name: name if name in stored else file for name, file in zip(names, frame_files(names), strict=True)}
 
 
 def read_inputs(folder: Path, names: Sequence[str], check: Check = unchecked) -> Sequence[Frame]:
     """Reads the frames of a result, in the order of `names`; images are read, and checked, when they are used."""
-    file, files = folder / CAMERAS, read_names(folder)
-    records = _read_cameras(folder)
+    file, files, records = folder / CAMERAS, read_names(folder), _read_cameras(folder)
     with damage_is(f"{file}: not the cameras of these images"):
         cameras = [
             tuple(torch.tensor(records[name][key], dtype=torch.float64) for key in ("intrinsics", "world_to_camera"))

@@ -151,14 +151,13 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
     told = f"expected vertices near the result's points, got half of them farther than {middle:.3g} m"
     if middle > FAR * diagonal:
         raise ValueError(f"{told}; is the file of another place, or in another frame?")
-    if 0 < AWAY * spacing < middle:
+    away = 1 if len(points) == len(own) else AWAY  # as many: then it is the same cloud, whose points lie on each other
+    if 0 < away * spacing < middle:
         warnings.warn(f"{told}, whose neighbours are {spacing:.2g} m apart; was the file moved?", stacklevel=3)
     elif (lost := int((distance > (limit := max(AWAY * spacing, ALONE * diagonal))).sum())) > LOST * len(distance):
         told = f"{lost} of {len(points)} vertices are farther than {limit:.3g} m from the result"
         warnings.warn(f"{told}; they have the label of its nearest point all the same", stacklevel=3)
-    found = torch.full((len(points),), -1)
-    found[finite] = torch.from_numpy(index)
-    return found
+    return torch.full((len(points),), -1).masked_scatter(finite, torch.from_numpy(index))
 
 
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:

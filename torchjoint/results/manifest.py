@@ -76,9 +76,8 @@ def open_manifest(folder: Path) -> Check:
             raise ValueError(f"{path}: expected the file that the run wrote, got another, or a damaged one{_WAY_OUT}")
         return path
 
-    for name in AT_ONCE:
-        if name in files:
-            check(folder / name)
+    for name in filter(files.__contains__, AT_ONCE):
+        check(folder / name)
     return check
 
 

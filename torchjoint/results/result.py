@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.config import Config
+from torchjoint.masks.folder import frame_names
 from torchjoint.results.embeddings import Crop, Embeddings, Encoder, best_crops, check_segment, embed
 from torchjoint.results.objects import SegmentRecord, segment_records
 from torchjoint.results.picking import Pick, Pixels, Prompts, pick
@@ -43,14 +45,17 @@ class Result(Segmentation):
         Points that have no level, beams without return, are left out.
 
         Raises:
-            ValueError: the scene has another number of points or frames.
+            ValueError: the scene has other points or frames, or in another order, as far as their names tell.
         """
         got = len(scene.points), len(scene.frames)
-        expected = len(segmentation.points), len(segmentation.images)
-        if got[0] != expected[0] or (expected[1] and got[1] != expected[1]):
-            raise ValueError(
-                f"scene: expected {expected[0]} points and {expected[1]} frames, got {got[0]} and {got[1]}"
-            )
+        own = len(segmentation.points), len(segmentation.images)
+        if got[0] != own[0] or (own[1] and got[1] != own[1]):
+            raise ValueError(f"scene: expected {own[0]} points and {own[1]} frames, got {got[0]} and {got[1]}")
+        if segmentation.cloud_checksum not in (None, zlib.crc32(scene.points.contiguous().numpy().data)):
+            raise ValueError("scene: expected the points that were segmented, in their order, got others")
+        for name, came in zip(segmentation.names, frame_names(scene.frames) if own[1] else (), strict=False):
+            if name and came and name != came:
+                raise ValueError(f"scene: expected frame {name!r}, got {came!r}; of another order or scene?")
         if segmentation.hierarchy is not None:
             segmentation, scene = segmentation.labelled(scene)
         values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
@@ -86,9 +91,8 @@ class Result(Segmentation):
             ValueError: an unknown id.
         """
         segment = check_segment(segment, self.points)
-        name, up = f"{self.scene.name} {segment}".strip(), self.scene.up
-        cloud = Scene(self.scene.points, colors=self.scene.colors, name=name, up=up)
-        return cloud.select_points(self.points == segment)
+        name = f"{self.scene.name} {segment}".strip()
+        return replace(self.scene, frames=(), normals=None, truth=None, name=name).select_points(self.points == segment)
 
     def crops(self, segment: int, k: int = 3, margin: float = 0.1) -> list[Crop]:
         """Crops the frames that show a segment best, best first; see :func:`~torchjoint.results.embeddings.best_crops`.

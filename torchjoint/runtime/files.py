@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 import secrets
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,8 +26,7 @@ CACHE = "TORCHJOINT_CACHE"
 def cache_folder() -> Path | None:
     """The folder of what is kept for later runs; None: nothing is kept."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    folder = os.environ.get(CACHE, os.path.join(home, "torchjoint"))
-    return Path(folder) if folder else None
+    return Path(folder) if (folder := os.environ.get(CACHE, os.path.join(home, "torchjoint"))) else None
 
 
 def file_name(name: str, *, is_free: bool = True) -> str:
@@ -48,8 +48,16 @@ def file_name(name: str, *, is_free: bool = True) -> str:
 
 
 def frame_files(names: Sequence[str]) -> list[str]:
-    """The file names of frames, without suffix; a frame without a name has its number."""
-    return [file_name(name or f"{index:06d}") for index, name in enumerate(names)]
+    """The file names of frames, without suffix; a frame without a name has its number.
+
+    Names that differ only in case get checksums: some disks would take them for one file.
+
+    >>> frame_files(["a", "", "b", "B"])
+    ['a', '000001', 'b-3e23e8160039', 'B-df7e70e50215']
+    """
+    names = [name or f"{index:06d}" for index, name in enumerate(names)]
+    same = Counter(name.casefold() for name in set(names))
+    return [file_name(name, is_free=same[name.casefold()] == 1) for name in names]
 
 
 def no_link(path: Path) -> Path:

@@ -104,8 +104,7 @@ def read_text(path: Path, expected: str, most: int = bounds.TEXT_BYTES, *, error
     """Reads a text file (UTF-8) with any line ends; errors as of :func:`read_file`, also if it is no text."""
     data = read_file(path, expected, most)
     with damage_is(f"{path}: expected {expected} as text"):
-        text = data.decode("utf-8-sig", errors)
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+        return data.decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_json(path: Path, expected: str) -> Any:
@@ -167,8 +166,7 @@ def dict_of(pairs: Sequence[tuple[Any, Any]], what: str = "name") -> dict[Any, A
 
 def no_twice(names: Iterable[object], what: str) -> None:
     """Checks that no name occurs twice: only one of the two would be read."""
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise ValueError(f"{what} {twice[0]!r} is there twice")
 
 

@@ -204,13 +204,13 @@ def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
 
 
 def as_float(value: Tensor, name: str, dtype: torch.dtype) -> Tensor:
-    """Checks a finite floating CPU tensor; returns it as `dtype`."""
+    """Checks a finite floating CPU tensor; returns it as `dtype`. To become float64, it has 32 bits or more."""
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
     if value.device.type != "cpu":
         raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
-    if not value.dtype.is_floating_point:
-        raise TypeError(f"{name}: expected a floating dtype, got {value.dtype}")
+    if not value.dtype.is_floating_point or value.dtype.itemsize * 2 < dtype.itemsize:  # 16 bits round poses by 0.05 %
+        raise TypeError(f"{name}: expected a floating dtype, got {value.dtype}; give float32 or float64")
     if value.layout != torch.strided:
         raise TypeError(f"{name}: expected a dense tensor, got one of {value.layout}")
     if not _is_finite(value):

@@ -89,6 +89,7 @@ class Segmentation:
         superpoint_images: with a hierarchy, a sequence of [H, W] int64, one per frame: the superpoint of the hierarchy
             in each pixel of a 3D segment, else -1. Each image is computed at its first use, so the segmentation keeps
             the frames' observations.
+        cloud_checksum: CRC-32 of the cloud's points, all of them in their order; None: unknown.
     """
 
     points: Tensor
@@ -98,6 +99,7 @@ class Segmentation:
     seconds: dict[str, float] = field(default_factory=dict)
     hierarchy: Hierarchy | None = None
     superpoint_images: Sequence[Tensor] = ()
+    cloud_checksum: int | None = field(default=None, kw_only=True)
 
     def __repr__(self) -> str:
         levels = ", all levels" if self.hierarchy is not None else ""
@@ -141,11 +143,10 @@ class Segmentation:
 
     def labelled(self, scene: Scene) -> tuple[Self, Scene]:
         """The same of the points that have a label, and the scene with only these."""
-        keep = self.points >= 0
-        if bool(keep.all()):
+        if bool((keep := self.points >= 0).all()):
             return self, scene
         levels = self.hierarchy and replace(self.hierarchy, superpoint=self.hierarchy.superpoint[keep])
-        return replace(self, points=self.points[keep], hierarchy=levels), scene.select_points(keep)
+        return replace(self, points=self.points[keep], hierarchy=levels, cloud_checksum=None), scene.select_points(keep)
 
     @one_thread_per_operation()
     def at(self, granularity: float = 0.5) -> Self:
