@@ -42,7 +42,7 @@ END = 0.15
 #: What reaches down to this share of the points does not hang: it is the floor, or stands there.
 LOWEST = 0.05
 #: A thing that seems to float stands on the level surface below it, if the gap is at most this share of its height: its
-#: feet are hidden. The surface is sought at most BESIDE metres beside the thing.
+#: feet are hidden. The surface is sought at most BESIDE metres beside the thing. Nor is a contact higher than this.
 GAP, BESIDE = 0.3, 0.3
 #: Of the lowest points of such a thing, at most so many are used.
 FEET = 20
@@ -206,7 +206,8 @@ def _carried(cloud: _Cloud, contact: _Contact, upper: int, lower: int) -> Relati
     tall, reach = float(np.quantile(heights, 0.98) - np.quantile(heights, 0.02)), REACH * float(cloud.local[own].mean())
     is_flat = tall <= 2 * reach
     level, wall = float((cloud.tilt[others] > LEVEL).mean()), float((cloud.tilt[others] < WALL).mean())
-    if level > 0.5 and at > at_other and (is_flat or (heights < at).mean() <= END):
+    is_low = at <= heights.min() + max(GAP * np.ptp(heights), reach)  # few points may be below: of legs
+    if level > 0.5 and at > at_other and is_low and (is_flat or (heights < at).mean() <= END):
         return Relation("stands on", upper, lower, contact.area, level)
     own_area, area = ((cloud.local[cloud.members[one]] ** 2).sum() for one in (upper, lower))
     if is_flat or heights.min() <= cloud.low or own_area >= area:
