@@ -58,8 +58,8 @@ def summarize(result: Segmentation, out: Path) -> None:
     if (masks := count_masks(out)) is not None:
         alone = f", {masks[1]} one of their image alone" if masks[1] else ""
         say(f"masks: {masks[0]} of {masks[2]} became a segment{alone} (IoU at least .5); masks.json tells of each")
-    names = [f"{one.name}/" if one.is_dir() else one.name for one in out.iterdir() if one.is_file() or any(one.iterdir())]
-    say(f"written to {out}: {', '.join(sorted(names))} (docs/quickstart.md)")
+    files = sorted(one for one in out.iterdir() if one.is_file() or any(one.iterdir()))
+    say(f"written to {out}: {', '.join(one.name + '/' * one.is_dir() for one in files)} (docs/quickstart.md)")
 
 
 def _listed(seconds: Mapping[str, float]) -> str:

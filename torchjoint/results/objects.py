@@ -168,17 +168,15 @@ def members(result: Segmentation) -> list[npt.NDArray[np.int64]]:
 
 def write_segments(folder: Path, scene: Scene, result: Segmentation, names: Mapping[int, str]) -> None:
     """Writes segments.json: the upward direction, and a line for each segment of the cloud, with its name."""
-    head = {"units": "those of the cloud", "up": _rounded(up_direction(scene).tolist(), 6)}
-    records = segment_records(scene, result)
-    _write(folder, head, [{"id": one.id, "name": names.get(one.id)} | one.to_dict() for one in records])
+    found = [{"id": one.id, "name": names.get(one.id)} | one.to_dict() for one in segment_records(scene, result)]
+    _write(folder, {"units": "those of the cloud", "up": _rounded(up_direction(scene).tolist(), 6)}, found)
 
 
-def add_to_segments(folder: Path, values: Mapping[str, Any], **columns: Mapping[int, Any]) -> None:
+def add_to_segments(folder: Path, values: dict[str, Any], **columns: Mapping[int, Any]) -> None:
     """Writes into segments.json more values, and such of each segment, by its id; a segment without one has null."""
     with lock(folder / f".{FILE}.lock", f"{folder / FILE}: another program is writing it; save again"):
         head, _ = read_segments(folder)
-        more = ({name: of.get(one["id"]) for name, of in columns.items()} for one in head["segments"])
-        segments = [one | new for one, new in zip(head.pop("segments"), more, strict=True)]
+        segments = [one | {name: of.get(one["id"]) for name, of in columns.items()} for one in head.pop("segments")]
         _write(folder, head | values, segments)
 
 

@@ -161,9 +161,8 @@ def relations(scene: Scene, result: Segmentation) -> Relations:
     for (a, b), contact in _contacts(cloud, indices.numpy(), distances.numpy()).items():
         carried = _carried(cloud, contact, a, b) or _carried(cloud, contact, b, a)
         found.append(carried or Relation("touches", a, b, contact.area, 1.0))
+    found += _over_gaps(cloud, sorted(cloud.members.keys() - {one.first for one in found if one.kind == "stands on"}))
     standing = {one.first for one in found if one.kind == "stands on"}
-    found += (over_gaps := _over_gaps(cloud, [one for one in cloud.members if one not in standing]))
-    standing |= {one.first for one in over_gaps}
     for place, one in enumerate(found):
         if one.kind == "hangs on" and one.first in standing:
             found[place] = Relation("touches", min(one.first, one.second), max(one.first, one.second), one.area, 1.0)
@@ -214,8 +213,7 @@ def _carried(cloud: _Cloud, contact: _Contact, upper: int, lower: int) -> Relati
         return None
     if level > 0.5 and at < at_other and (heights > at).mean() <= END:
         return Relation("hangs on", upper, lower, contact.area, level)
-    is_along = np.ptp(cloud.heights[own]) > 0.5 * tall
-    if wall > 0.5 and is_along and np.ptp(cloud.heights[cloud.members[lower]]) > tall:
+    if wall > 0.5 and np.ptp(cloud.heights[own]) > 0.5 * tall and np.ptp(cloud.heights[cloud.members[lower]]) > tall:
         return Relation("hangs on", upper, lower, contact.area, wall)
     return None
 

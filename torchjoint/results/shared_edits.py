@@ -16,10 +16,9 @@ import torch
 from scipy.sparse import csr_array
 
 from torchjoint.datasets.files.text import read_record
+from torchjoint.results import objects
 from torchjoint.results.boxes import UNNAMED, Box, boxes_of, upright_points
 from torchjoint.results.edits import FILE, Edit, Edits, Table, read_edits, write_edits
-from torchjoint.results.objects import FILE as SEGMENTS
-from torchjoint.results.objects import add_to_segments
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.runtime import bounds
@@ -263,8 +262,8 @@ def save_edits(folder: Path, edits: Edits, before: Edits, parts: Parts) -> Edits
             expected = "expected corrections that go with those that others have saved meanwhile"
             raise ValueError(f"{folder / FILE}: {expected}: {error}; undo some, and save again") from error
         write_edits(folder, merged)
-        if has_file(folder / SEGMENTS):
-            add_to_segments(folder, {}, name=names)
+        if has_file(folder / objects.FILE):
+            objects.add_to_segments(folder, {}, name=names)
     return merged
 
 
