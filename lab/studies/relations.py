@@ -32,6 +32,7 @@ LEAST_POINTS, CORNERS = 30, 40
 #: Samples of the surfaces, on a square metre; the least contact, square metres; the part of a thing inside another; the
 #: height from which things hang, metres.
 DENSITY, CONTACT, INSIDE, ABOVE = 20_000, 2e-4, 0.95, 0.1
+UP = torch.tensor([0.0, 0.0, 1.0])
 KINDS = ("stands on", "hangs on", "contains", "touches")
 Array = npt.NDArray[np.float64]
 Pairs = set[tuple[int, int]]
@@ -104,9 +105,9 @@ def carrier(corner: Array, triangles: Array, labels: npt.NDArray[np.int64]) -> i
 def found_pairs(made: SyntheticScene) -> tuple[dict[str, Pairs], set[int]]:
     """The pairs of `result.graph()`, and the instances that are seen well enough."""
     ids, labels, counts = made.point_labels.unique(return_inverse=True, return_counts=True)
-    result = tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(made.scene.points))
+    result = tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(made.scene.points, up=UP))
     found: dict[str, Pairs] = {kind: set() for kind in KINDS}
-    for one in result.graph(torch.tensor([0.0, 0.0, 1.0])).relations:
+    for one in result.graph().relations:
         pair = int(ids[one.first]), int(ids[one.second])
         found[one.kind].add(pair)
         if one.area:

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import shutil
 from concurrent.futures.process import BrokenProcessPool
 
@@ -214,7 +215,10 @@ def test_demo(monkeypatch, tmp_path, capsys, run, synthetic):
     monkeypatch.setattr("torchjoint.cli.demo.RECORDING", tmp_path / "room")
     run("demo", "-o", tmp_path / "demo", *SMALL)
     assert (tmp_path / "demo" / "overview.png").is_file()
-    assert "against the truth, in 3D: covering 0." in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "against the truth, in 3D: covering 0." in told
+    listed = re.search(r"written to \S+: (.*) \(docs/quickstart\.md\)", told)[1].split(", ")
+    assert listed == sorted(one.name + "/" * one.is_dir() for one in (tmp_path / "demo").iterdir())
     run("show", tmp_path / "demo", "--truth", "--static", tmp_path / "page.html")
     assert "<option>truth</option>" in (tmp_path / "page.html").read_text(encoding="utf-8")
     with pytest.raises(SystemExit, match="demo: exists already"):

@@ -119,6 +119,8 @@ class TestARun:
         assert float((own & true).sum() / (own | true).sum()) > 0.5
         assert {mask["id"] for frame in found["frames"] for mask in frame["masks"]} == {4}
         assert tj.load_result(out).segment_names == {segment["id"]: "it" for segment in named}
+        listed = json.loads((out / "segments.json").read_text())["segments"]
+        assert {one["id"]: one["name"] for one in listed if one["name"]} == {one["id"]: "it" for one in named}
 
     def test_a_name_by_hand_counts_more(self, out, run, tmp_path):
         copy = shutil.copytree(out, tmp_path / "out")

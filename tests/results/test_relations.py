@@ -58,6 +58,14 @@ def test_hidden_feet():
     assert kinds(graph_of(FLOOR, box((0.5, 0.5, 0.1), (1, 1, 1)))) == [("stands on", 1, 0)]
 
 
+def test_a_table_does_not_stand_on_a_chair():
+    """A leg of it touches the seat; the legs have few of the table's points, so few are below the seat."""
+    legs = [grid((x, y, 0.02), (x, y, 0.72)) for x in (0.5, 1.5) for y in (0.5, 1.5)]
+    table = np.concatenate([grid((0.5, 0.5, 0.74), (1.5, 1.5, 0.74)), *legs])
+    chair = np.concatenate([grid((0.2, 0.41, 0.42), (0.49, 0.71, 0.42)), grid((0.2, 0.41, 0.02), (0.2, 0.71, 0.9))])
+    assert kinds(graph_of(FLOOR, table, chair)) == [("stands on", 1, 0), ("stands on", 2, 0), ("touches", 1, 2)]
+
+
 def test_a_picture_hangs_on_the_wall():
     picture = grid((0.5, 1.99, 1), (1, 1.99, 1.6))
     assert ("hangs on", 2, 1) in kinds(graph_of(FLOOR, WALL, picture))

@@ -99,6 +99,7 @@ def test_a_result_without_cameras_has_no_frames(out, tmp_path):
 def test_segments_json_says_what_is_in_the_labels(out, scene, result):
     record = json.loads((out / "segments.json").read_text())
     assert len(record["segments"]) == result.num_point_segments
+    assert record["units"] == "those of the cloud"  # a survey may be in feet
     for segment in record["segments"]:
         mask = result.points == segment["id"]
         assert segment["points"] == int(mask.sum())

@@ -58,10 +58,8 @@ def summarize(result: Segmentation, out: Path) -> None:
     if (masks := count_masks(out)) is not None:
         alone = f", {masks[1]} one of their image alone" if masks[1] else ""
         say(f"masks: {masks[0]} of {masks[2]} became a segment{alone} (IoU at least .5); masks.json tells of each")
-    files = ["overview.png", "points.ply", "points.npz", "segments.json", "cameras.json", "run.yaml", "hierarchy.npz"]
-    folders = [f"{one}/" for one in ("images", "images_color", "inputs", "pieces")]
-    folders = [one for one in folders if len(result.images) and (out / one).is_dir()]
-    say(f"written to {out}: {', '.join([one for one in files if (out / one).exists()] + folders)}")
+    files = sorted(one for one in out.iterdir() if one.is_file() or any(one.iterdir()))
+    say(f"written to {out}: {', '.join(one.name + '/' * one.is_dir() for one in files)} (docs/quickstart.md)")
 
 
 def _listed(seconds: Mapping[str, float]) -> str:

@@ -47,7 +47,8 @@ def superpoints(
 
     Args:
         cloud: .ply, .pcd, .npy, .npz, .bin (KITTI), .pcd.bin (nuScenes), .xyz, .txt, .asc, .csv, .pts, .las, .laz or
-            .e57 file, or a folder of .las and .laz files. Preset segmentator uses the triangles of a .ply mesh.
+            .e57 file, or a folder of .las and .laz files. Preset segmentator uses the triangles of a mesh, .ply, .obj,
+            .glb, .gltf, .off or .stl.
         out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply, .las or .laz has
             all data of a cloud's file of its kind, and a property or dimension `superpoint`; of other clouds a .ply has
             points, a colour for each superpoint, the triangles of a mesh. A .npy has the labels, int64. A .npz has the

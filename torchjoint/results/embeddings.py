@@ -206,7 +206,7 @@ class Embeddings:
         arrays = {"vectors": self.vectors.numpy(), "labels": self.labels.to(torch.int32).numpy()}
         write_archive(no_link(file), arrays)
         if rows is not None:
-            add_to_segments(path, {"embeddings": FILE}, rows)
+            add_to_segments(path, {"embeddings": FILE}, embedding=rows)
 
     def _rows(self, path: Path) -> dict[int, int]:
         """For each segment of a result's folder the row of its vector."""

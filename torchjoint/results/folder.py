@@ -140,7 +140,7 @@ def write_result(
     scene = replace(scene, up=up_direction(scene))
     if len(scene.frames):
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
-    write_segments(folder, scene, result)
+    write_segments(folder, scene, result, names_of_masks(folder))
     overview(scene, result, names=frames_with_masks(folder)).savefig(folder / "overview.png", dpi=100, pil_kwargs=PNG)
     record = _run_record(scene, result, config, source, granularity, last_label) | dict(made or {})
     write_manifest(folder, record)

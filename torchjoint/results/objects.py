@@ -115,7 +115,7 @@ class SegmentRecord:
     views: tuple[SegmentView, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """The record as written to segments.json: lengths in metres, rounded to a hundredth of a millimetre."""
+        """The record as written to segments.json: rounded to a hundredth of a millimetre, if in metres."""
         return {
             "id": self.id,
             "points": self.points,
@@ -166,18 +166,17 @@ def members(result: Segmentation) -> list[npt.NDArray[np.int64]]:
     return np.split(np.argsort(labels, kind="stable")[(labels < 0).sum() :], np.cumsum(counts)[:-1])
 
 
-def write_segments(folder: Path, scene: Scene, result: Segmentation) -> None:
-    """Writes segments.json: the upward direction, and a line for each segment of the cloud."""
-    head = {"units": "metres", "up": _rounded(up_direction(scene).tolist(), 6)}
-    _write(folder, head, [record.to_dict() for record in segment_records(scene, result)])
+def write_segments(folder: Path, scene: Scene, result: Segmentation, names: Mapping[int, str]) -> None:
+    """Writes segments.json: the upward direction, and a line for each segment of the cloud, with its name."""
+    found = [{"id": one.id, "name": names.get(one.id)} | one.to_dict() for one in segment_records(scene, result)]
+    _write(folder, {"units": "those of the cloud", "up": _rounded(up_direction(scene).tolist(), 6)}, found)
 
 
-def add_to_segments(folder: Path, values: dict[str, Any], rows: Mapping[int, int] | None = None) -> None:
-    """Writes into segments.json more values, and for each segment its row in a file of vectors."""
+def add_to_segments(folder: Path, values: dict[str, Any], **columns: Mapping[int, Any]) -> None:
+    """Writes into segments.json more values, and such of each segment, by its id; a segment without one has null."""
     with lock(folder / f".{FILE}.lock", f"{folder / FILE}: another program is writing it; save again"):
         head, _ = read_segments(folder)
-        row = (lambda one: {}) if rows is None else (lambda one: {"embedding": rows.get(one["id"])})
-        segments = [one | row(one) for one in head.pop("segments")]
+        segments = [one | {name: of.get(one["id"]) for name, of in columns.items()} for one in head.pop("segments")]
         _write(folder, head | values, segments)
 
 

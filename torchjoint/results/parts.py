@@ -98,6 +98,10 @@ class Parts:
                 own[first] = int(self.stored.max()) + 1 + next(following)
         return own[table]
 
+    def names_by_id(self, edits: Edits, ids: Table) -> dict[int, str]:
+        """The names of segments after the edits, by the ids that :meth:`ids` gives."""
+        return {int(ids[first]): name for first, name in self.names(edits).items()}
+
     @cached_property
     def keys(self) -> Table:
         """[P] for each superpoint a number of the segment that begins with it, the same in all tables."""
@@ -109,10 +113,10 @@ def edited(result: Result, edits: Edits) -> Result:
     """Applies corrections by hand, and sets `segment_names`. Ids as those of :class:`Parts`; some may have no point."""
     parts = Parts(result)
     ids = parts.ids(edits)
-    names = {int(ids[first]): name for first, name in parts.names(edits).items()}
     segments = torch.from_numpy(ids)
     superpoints = None if result.hierarchy is None else result.superpoint_images
     before = result.num_point_segments  # ids of image segments without points stay, too, unless there are new ones
     images = level_images(result.images, before, segments, max(int(ids.max()) + 1, before), superpoints)
     points = segments[torch.from_numpy(parts.of_point)]
-    return replace(result, points=points, images=images if len(result.images) else (), segment_names=names)
+    shown, names = images if len(result.images) else (), parts.names_by_id(edits, ids)
+    return replace(result, points=points, images=shown, segment_names=names)

@@ -42,7 +42,7 @@ END = 0.15
 #: What reaches down to this share of the points does not hang: it is the floor, or stands there.
 LOWEST = 0.05
 #: A thing that seems to float stands on the level surface below it, if the gap is at most this share of its height: its
-#: feet are hidden. The surface is sought at most BESIDE metres beside the thing.
+#: feet are hidden. The surface is sought at most BESIDE metres beside the thing. Nor is a contact higher than this.
 GAP, BESIDE = 0.3, 0.3
 #: Of the lowest points of such a thing, at most so many are used.
 FEET = 20
@@ -161,9 +161,8 @@ def relations(scene: Scene, result: Segmentation) -> Relations:
     for (a, b), contact in _contacts(cloud, indices.numpy(), distances.numpy()).items():
         carried = _carried(cloud, contact, a, b) or _carried(cloud, contact, b, a)
         found.append(carried or Relation("touches", a, b, contact.area, 1.0))
+    found += _over_gaps(cloud, sorted(cloud.members.keys() - {one.first for one in found if one.kind == "stands on"}))
     standing = {one.first for one in found if one.kind == "stands on"}
-    found += (over_gaps := _over_gaps(cloud, [one for one in cloud.members if one not in standing]))
-    standing |= {one.first for one in over_gaps}
     for place, one in enumerate(found):
         if one.kind == "hangs on" and one.first in standing:
             found[place] = Relation("touches", min(one.first, one.second), max(one.first, one.second), one.area, 1.0)
@@ -206,15 +205,15 @@ def _carried(cloud: _Cloud, contact: _Contact, upper: int, lower: int) -> Relati
     tall, reach = float(np.quantile(heights, 0.98) - np.quantile(heights, 0.02)), REACH * float(cloud.local[own].mean())
     is_flat = tall <= 2 * reach
     level, wall = float((cloud.tilt[others] > LEVEL).mean()), float((cloud.tilt[others] < WALL).mean())
-    if level > 0.5 and at > at_other and (is_flat or (heights < at).mean() <= END):
+    is_low = at <= heights.min() + max(GAP * np.ptp(heights), reach)  # few points may be below: of legs
+    if level > 0.5 and at > at_other and is_low and (is_flat or (heights < at).mean() <= END):
         return Relation("stands on", upper, lower, contact.area, level)
     own_area, area = ((cloud.local[cloud.members[one]] ** 2).sum() for one in (upper, lower))
     if is_flat or heights.min() <= cloud.low or own_area >= area:
         return None
     if level > 0.5 and at < at_other and (heights > at).mean() <= END:
         return Relation("hangs on", upper, lower, contact.area, level)
-    is_along = np.ptp(cloud.heights[own]) > 0.5 * tall
-    if wall > 0.5 and is_along and np.ptp(cloud.heights[cloud.members[lower]]) > tall:
+    if wall > 0.5 and np.ptp(cloud.heights[own]) > 0.5 * tall and np.ptp(cloud.heights[cloud.members[lower]]) > tall:
         return Relation("hangs on", upper, lower, contact.area, wall)
     return None
 

@@ -103,5 +103,5 @@ def test_other_dimensions_are_said_to_stay_in_the_file(tmp_path):
     cloud = laspy.LasData(header)
     cloud.xyz = np.eye(3)
     cloud.write(tmp_path / "a.laz")
-    with pytest.warns(UserWarning, match="Amplitude: no .*; not used for segments; `label` keeps them"):
+    with pytest.warns(UserWarning, match="Amplitude: no .* names; kept by `label`, without effect"):
         read_cloud_file(tmp_path / "a.laz")

@@ -118,8 +118,8 @@ def tell_not_read(columns: Iterable[str], name: str) -> None:
     left = [column for column in columns if not NOT_READ.fullmatch(plain(column))]
     if left:
         some = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
-        kept = " for segments; `label` keeps them" if name.lower().endswith((".las", ".laz")) else ""
-        told = f"{name}: {some}: no position, normal or colour by these names; not used{kept} (docs/your_data.md)"
+        what = "kept by `label`, without effect" if name.lower().endswith((".las", ".laz")) else "not used"
+        told = f"{name}: {some}: no position, normal or colour by these names; {what} (docs/your_data.md)"
         warnings.warn(told, stacklevel=5)
 
 

@@ -49,8 +49,9 @@ MOST_CELLS = 2000
 def export_csv(path: Path, result: Result) -> None:
     """Writes a line for each segment: COLUMNS.
 
-    x, y, z (in a survey east, north, height) is the middle of its upright box, size its sides; bottom and top are the
-    heights of its lowest and highest point; area is that of its footprint, the outline seen from above.
+    x, y, z (in a survey east, north, height) is the middle of its upright box in the axes of the cloud, size its sides;
+    bottom and top are the heights of its lowest and highest point along up, which need not be z; area is that of its
+    footprint, the outline seen from above.
     """
     rows = (["" if value is None else value for value in row] for row, _ in _rows(result))
     write_text(path, csv_text([COLUMNS, *rows]))
