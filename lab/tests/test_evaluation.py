@@ -48,6 +48,16 @@ class TestScores:
         assert mean_scores([scores(0.2), scores(0.6)]).f == pytest.approx(0.4)
 
 
+def test_a_truth_in_another_order_is_told():
+    points = torch.rand(2000, 3, generator=torch.Generator().manual_seed(0))
+    labels = (points * 2).long() @ torch.tensor([1, 2, 4])
+    prediction = Prediction(labels, torch.arange(2000), (), ())
+    assert evaluate(prediction, tj.Scene(points, truth=Truth(labels)), "cubes")[0].scores.f == 1
+    mixed = tj.Scene(points, truth=Truth(labels[torch.randperm(2000, generator=torch.Generator().manual_seed(1))]))
+    with pytest.warns(UserWarning, match="cubes: neighbours rarely have one truth: is it in the order of the points"):
+        evaluate(prediction, mixed, "cubes")
+
+
 KINDS = {9: "flat", 2: "concave", 5: "flat", 4: "flat", 1: "concave"}
 
 

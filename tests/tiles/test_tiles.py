@@ -119,10 +119,24 @@ def test_files_of_the_same_names_that_are_no_results_stay(cloud, tmp_path, conte
     assert mine.read_bytes() == before
 
 
+def test_a_file_that_is_there_twice_is_told(cloud, tmp_path):
+    (tmp_path / "parts").mkdir()
+    for name in ("a.laz", "b.laz"):
+        shutil.copy(cloud, tmp_path / "parts" / name)
+    with pytest.warns(UserWarning, match="parts: two files have the same box; are their points there twice"):
+        superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1")
+
+
+def test_a_buffer_of_few_points_is_told(cloud, tmp_path):
+    with pytest.warns(UserWarning, match=r"buffer: 0\.1 m is little; below 0\.\d+ m the edges of tiles show"):
+        superpoints_of_files(cloud, tmp_path / "out.laz", tile=4, buffer=0.1, engine="loky:1")
+
+
 def test_files_of_several_coordinate_systems_are_told(cloud, tmp_path):
     (tmp_path / "parts").mkdir()
     for name, code in (("a.las", 25832), ("b.las", 25833), ("c.las", None)):
         one = laspy.read(cloud)
+        one.x = one.x + 20 * ord(name[0])
         one.header.vlrs.extract("WktCoordinateSystemVlr")
         if code is not None:
             text = f'PROJCS["UTM",GEOGCS["ETRS89"],AUTHORITY["EPSG","{code}"]]'

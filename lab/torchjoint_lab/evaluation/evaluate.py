@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
+
+from scipy.spatial import cKDTree
+from torch import Tensor
+
 from torchjoint.scene import Scene
 from torchjoint_lab.evaluation.levels import score_levels
 from torchjoint_lab.evaluation.predictions import Prediction
@@ -22,6 +27,7 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
     if prediction.points is not None and truth.points is not None:
         known = truth.select_points(prediction.of_points)
         if known.points is not None and known.has_points:
+            _tell_other_order(scene.points[prediction.of_points], known.points, name)
             rows.append(Row(name, method, "3D", score(prediction.points, known.points)))
     if len(prediction.images) and len(truth.images):
         if len(truth.images) != len(scene.frames):
@@ -34,6 +40,16 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
     if not rows:
         raise ValueError(f"{name}: expected ground truth for the predicted points or images, got none")
     return rows
+
+
+def _tell_other_order(points: Tensor, labels: Tensor, name: str) -> None:
+    """Warns if neighbours share their label little more often than two points by chance: the order is another one."""
+    sample = points[:: 1 + len(points) // 2000], labels[:: 1 + len(points) // 2000]
+    _, near = cKDTree(points).query(sample[0], k=2)
+    agreement = (labels[near[:, 0]] == labels[near[:, 1]]).double().mean()
+    by_chance = (labels.unique(return_counts=True)[1] / len(labels)).square().sum()
+    if len(points) > 100 and agreement < 0.5 * (1 + by_chance):
+        warnings.warn(f"{name}: neighbours rarely have one truth: is it in the order of the points?", stacklevel=3)
 
 
 def evaluate_levels(prediction: Prediction, scene: Scene) -> list[Scores]:
