@@ -380,6 +380,21 @@ class TestFingerprint:
         (recording.parent / "mine.txt").write_bytes(b"")
         assert fingerprint(recording) in found
 
+    def test_a_scan_is_its_files_and_no_others(self, tmp_path):
+        """A log beside a scan was told as a change of the scan while it was segmented."""
+        scan, calibration = tmp_path / "velodyne" / "000001.bin", tmp_path / "calib" / "000001.txt"
+        for file in (scan, calibration):
+            file.parent.mkdir()
+            file.write_bytes(b"one")
+        found = {fingerprint(scan)}
+        (scan.parent / "run.log").write_bytes(b"")
+        (scan.parent / "000002.bin").write_bytes(b"one")
+        assert {fingerprint(scan)} == found
+        for file in (scan, calibration):
+            file.write_bytes(b"other")
+            found.add(fingerprint(scan))
+        assert len(found) == 3
+
     def test_a_relative_path_is_the_same_recording(self, tmp_path, monkeypatch, scene_of):
         write_folder(tmp_path / "recording", scene_of(2))
         monkeypatch.chdir(tmp_path)

@@ -93,8 +93,8 @@ def _check_number(name: str, value: Any, kind: type, expected: str, declared: Ma
         raise TypeError(f"{name}: expected {expected}, got {value!r}")
     if not math.isfinite(value):
         raise ValueError(f"{name}: expected a finite number, got {value}")
-    if kind is int and value != int(value):
-        raise TypeError(f"{name}: expected a whole number, got {value}")
+    if kind is int and (value != int(value) or abs(value) >= 2**63):
+        raise TypeError(f"{name}: expected a whole number{' of 64 bits' * (abs(value) >= 2**63)}, got {value}")
     low, high, above = (declared[key] for key in ("low", "high", "above"))
     if (low is not None and value < low) or (above is not None and value <= above):
         raise ValueError(f"{name}: expected {f'>= {low}' if low is not None else f'> {above}'}, got {value}")

@@ -126,8 +126,8 @@ def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = Fal
     """Returns a hash of file names, sizes and times, to detect changed files.
 
     That of a folder covers all files in and below it, without folders of results, and what formats read around it;
-    links are followed. That of a file covers its folder, and files with the same stem in sibling folders (KITTI's
-    layout). That of a file with a suffix in `ALONE` covers only itself.
+    links are followed. That of a file covers its folder, if formats read other names there, and files with the same
+    stem in sibling folders (KITTI's layout). That of a file with a suffix in `ALONE` covers only itself.
 
     Args:
         path: of a recording.
@@ -142,8 +142,10 @@ def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = Fal
         return hashlib.sha256(repr(known).encode()).hexdigest()
     folder = path if has_folder(path) else path.parent
     left_out = {os.path.abspath(one) for one in without}
-    beside = () if has_folder(path) else folder.parent.glob(f"*/{path.stem}.*")
-    files = sorted({*files_below(folder, left_out), *_around(folder, left_out), *beside})
+    beside = () if has_folder(path) else (path, *folder.parent.glob(f"*/{path.stem}.*"))
+    has_others = has_folder(path) or path.suffix.lower() not in (".bin", ".pcd", ".png")
+    near = {*files_below(folder, left_out), *_around(folder, left_out)} if has_others else ()
+    files = sorted({*near, *beside})
     stats = [(str(file), *_size_and_time(file, changed)) for file in files]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 
