@@ -45,7 +45,7 @@ class TestBothWaysToAnnotate:
         ("name", "value", "message"),
         [
             ("count", 2.5, "expected a whole number, got 2.5"),
-            ("count", 1e30, r"expected a whole number of 64 bits, got 1e\+30"),
+            ("count", 1e30, "expected a whole number of 64 bits, got 1e+30"),
             ("count", None, "expected int, got null"),
             ("count", True, "expected int, got True"),
             ("count", 0, "expected >= 1, got 0"),

@@ -254,7 +254,9 @@ def _readers(folder: Path) -> Readers:
         raise FileNotFoundError(f"{folder}: missing; expected a folder of masks, or a COCO file")
     readers: Readers = {}
     for path in sorted(folder.iterdir()):
-        is_masks = path.suffix.lower() in SUFFIXES or (has_folder(path) and any(one.suffix == ".png" for one in path.iterdir()))
+        is_masks = path.suffix.lower() in SUFFIXES or (
+            has_folder(path) and any(one.suffix == ".png" for one in path.iterdir())
+        )
         if path.name.startswith(".") or not is_masks:
             continue
         name = path.name if has_folder(path) else path.stem
