@@ -202,6 +202,16 @@ def test_new_poses_are_checked(frames):
     tj.LiveSegmenter(keep_depth=True).set_poses(poses[:0])
 
 
+def test_poses_of_few_keyframes_are_compared_with_a_result(frames):
+    """Only a dozen keyframes had been compared, and new poses never."""
+    inverted = torch.stack([torch.linalg.inv(frame.world_to_camera) for frame in frames])
+    wrong = [replace(frame, world_to_camera=pose) for frame, pose in zip(frames, inverted, strict=True)]
+    with pytest.warns(tj.PoseWarning, match="the poses look inverted"):
+        played(wrong).result(images=False)
+    with pytest.warns(tj.PoseWarning, match="the poses look inverted"):
+        played(frames, keep_depth=True).set_poses(inverted)
+
+
 def test_dark_frames_are_fused_again_as_they_were_taken(frames):
     dark = [replace(frame, image=frame.image / 8) for frame in frames]
     segmenter = played(dark, step=0, keep_depth=True)

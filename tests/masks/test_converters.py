@@ -184,6 +184,8 @@ class TestPanoptic:
         infos = [{"id": 5, "score": 0.5, "label_id": 2}, {"id": 9, "category_id": 1}]
         assert_equal(tj.masks.from_panoptic(LABELS, infos), torch.stack([LABELS == 5, LABELS == 9]), [0.5, 1])
         assert len(tj.masks.from_panoptic(LABELS, [])) == 0
+        with pytest.warns(UserWarning, match="segmentation: 2 of 3 ids are not in it, such as 6"):
+            assert len(tj.masks.from_panoptic(LABELS, [{"id": 6}, {"id": 5}, {"id": 7}])) == 3
 
     def test_damage_is_named(self):
         with pytest.raises(ValueError, match=r"segments_info: expected each id once, got \[5, 5\]"):
@@ -202,6 +204,8 @@ class TestInstances:
     def test_damage_is_named(self):
         with pytest.raises(TypeError, match="instances: expected pred_masks and scores, got dict without pred_masks"):
             tj.masks.from_instances({"masks": STACK})
+        with pytest.raises(ValueError, match="min_score: expected 0 to 1, got 50"):
+            tj.masks.from_instances({"pred_masks": STACK}, min_score=50)
         with pytest.raises(ValueError, match="pred_masks' scores"):
             tj.masks.from_instances({"pred_masks": STACK, "scores": torch.tensor([0.9, torch.nan])}, min_score=0.5)
 

@@ -410,11 +410,19 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up)
     after = tj.load_result(out)
     assert len(after.points.unique()) == before.num_point_segments - 1
     assert "floor" in after.segment_names.values()
-    record["objects"] = record["objects"][largest : largest + 1]
-    record["objects"][0]["dimensions"] = dict.fromkeys(record["objects"][0]["dimensions"], 1e-3)
+    one, other = (
+        record["objects"][largest],
+        min(record["objects"], key=lambda box: np.prod([*box["dimensions"].values()])),
+    )
+    record["objects"] = [one]
+    one["dimensions"] = dict.fromkeys(one["dimensions"], 1e-3)
     (tmp_path / "one.json").write_text(json.dumps(record))
-    run("edits", "import", out, tmp_path / "one.json")
-    assert f"{len(after.points.unique())} things whose box was deleted lie in no other" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match=r"one\.json: expected labels or boxes of .*, got 1 of 1 boxes of no thing"):
+        run("edits", "import", out, tmp_path / "one.json")
+    record["objects"].append(other)
+    (tmp_path / "two.json").write_text(json.dumps(record))
+    run("edits", "import", out, tmp_path / "two.json")
+    assert f"{len(after.points.unique()) - 1} things whose box was deleted lie in no" in capsys.readouterr().out
     with pytest.raises(SystemExit, match="no-such"):
         run("edits", "import", out, tmp_path / "no-such.json")
 

@@ -130,6 +130,13 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     file.write_text(json.dumps(label))
     run("edits", "import", out, file)
     assert "1 things have no labelled point: they stay" in capsys.readouterr().out
+    corrections = (out / "edits.json").read_bytes()
+    label["point_annotations"] = torch.randint(1, 9, (len(ids),), generator=torch.Generator().manual_seed(0)).tolist()
+    label["annotations"] = []
+    file.write_text(json.dumps(label))
+    with pytest.raises(SystemExit, match=r"points\.json: expected labels or boxes of .*, got other labels than those"):
+        run("edits", "import", out, file)
+    assert (out / "edits.json").read_bytes() == corrections
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,10 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
+#: YAML 1.1 reads 010 as 8 and 1:30 as 90: here a whole number has the value that people read, or is an error.
+_Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.value))
+
+
 def presets(*folder: str) -> dict[str, Any]:
     """The presets in `configs/` or in one of its folders: name -> readable resource."""
     files = resources.files("torchjoint.configs").joinpath(*folder).iterdir()

@@ -253,7 +253,7 @@ class LiveSegmenter(nn.Module):
                 keyframes, depth in another unit than metres.
 
         Warns:
-            PoseWarning: the depth images do not agree at these poses; it comes after some keyframes.
+            PoseWarning: the depth images do not agree at these poses; it comes after some keyframes, or with a result.
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         for frame in frames:
@@ -288,8 +288,8 @@ class LiveSegmenter(nn.Module):
         with self.stopwatch("surface"), self._lock:
             points, colors = surface_cloud(self._volume, self._origin)
             keyframes = list(self._keyframes)
+        _check(self._to_compare or [])
         if not len(points):
-            check_unit(self._to_compare or [])
             raise ValueError("depth: the frames so far give no surface; expected depth in metres, and right poses")
         graph, method = prepare(Cloud.checked(points, colors), self.config, method=LEARNED)
         evidence = Evidence.empty(graph, Observations(budget=self.memory))
@@ -331,6 +331,7 @@ class LiveSegmenter(nn.Module):
         poses = [as_pose(pose, f"world_to_camera[{index}]") for index, pose in enumerate(world_to_camera)]
         moved = [one._replace(world_to_camera=pose) for one, pose in zip(self._keyframes, poses, strict=True)]
         assert self._origin is not None
+        _check([*filter(None, map(Keyframe.measured, moved[:COMPARED]))])
         volume, views = Volume(self._volume.voxel_size, MAX_DEPTH, self.memory), Counter[int]()
         with self.stopwatch("fusion"):
             for frame in filter(None, map(Keyframe.measured, moved)):
@@ -421,9 +422,14 @@ class LiveSegmenter(nn.Module):
             return
         self._to_compare.append(frame)
         if len(self._to_compare) == COMPARED:
-            check_unit(self._to_compare)
-            warn_of_poses(self._to_compare)
+            _check(self._to_compare)
             self._to_compare = None
+
+
+def _check(frames: Sequence[Frame]) -> None:
+    """Checks the unit of the depth, and warns of poses at which depth images do not agree."""
+    check_unit(frames)
+    warn_of_poses(frames)
 
 
 def _frame_values(frame: Frame) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -98,6 +99,8 @@ def from_panoptic(segmentation: Any, segments_info: Sequence[Mapping[str, Any]])
         scores.append(float(info.get("score", 1.0)))
     if len(set(ids)) < len(ids):
         raise ValueError(f"segments_info: expected each id once, got {sorted(ids)}")
+    if lost := [one for one, mask in zip(ids, masks, strict=True) if not mask.any()]:
+        warnings.warn(f"segmentation: {len(lost)} of {len(ids)} ids are not in it, such as {lost[0]}", stacklevel=3)
     stack = torch.stack(masks) if masks else torch.zeros(0, *labels.shape, dtype=torch.bool)
     return replace(Masks.from_stack(stack, torch.tensor(scores, dtype=torch.float32), "segmentation"), ids=tuple(ids))
 
@@ -117,6 +120,8 @@ def from_instances(instances: Any, min_score: float = 0.0) -> Masks:
     >>> from_instances({"pred_masks": torch.ones(2, 1, 3), "scores": torch.tensor([0.9, 0.1])}, min_score=0.5)
     Masks(1 masks, 1 x 3 pixels, 100% covered)
     """
+    if not 0 <= min_score <= 1:
+        raise ValueError(f"min_score: expected 0 to 1, got {min_score}")
     if isinstance(instances, dict) and "instances" in instances:
         instances = instances["instances"]
     found = [_entry(instances, name) for name in ("pred_masks", "scores")]
