@@ -7,6 +7,9 @@ import importlib
 import re
 from pathlib import Path
 
+from docutils import nodes
+from latex2mathml.converter import convert
+
 from torchjoint import __version__
 
 project = "torchjoint"
@@ -18,7 +21,6 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
-    "sphinx.ext.mathjax",
     "sphinx.ext.viewcode",
 ]
 extensions += ["sphinx.ext.autosummary", "sphinx_copybutton"]
@@ -90,6 +92,17 @@ def internal_name(app, environment, node, content):
     return content if any(re.match(r"torchjoint\b", name) and is_there(name) for name in names) else None
 
 
+def mathml(writer, node):
+    """A formula as MathML, which browsers show by themselves: MathJax would need the network."""
+    formula, is_block = node.astext(), isinstance(node, nodes.math_block)
+    made = convert(formula, display="block" if is_block else "inline")
+    if "\\" in made:  # a command that it does not know stays as it is
+        raise ValueError(f"latex2mathml cannot convert {formula!r}")
+    writer.body.append(f'<div style="overflow-x: auto">{made}</div>' if is_block else made)
+    raise nodes.SkipNode
+
+
 def setup(app):
     """Called by Sphinx."""
+    app.add_html_math_renderer("mathml", (mathml, None), (mathml, None))
     app.connect("missing-reference", internal_name)

@@ -2,8 +2,6 @@
 
 import json
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +9,15 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.datasets.files.ply import read_vertex_property, write_cloud
+from torchjoint.datasets.files.ply import write_cloud
 
 ROOT = Path(__file__).parents[1]
 SCENE = "scene0000_00"
 
 
-def program(name, language="python", page="superpoints.md"):
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    return re.search(rf"<!-- {name} -->\n```{language}\n(.*?)```", text, flags=re.DOTALL)[1]
+def program(name):
+    text = (ROOT / "docs" / "superpoints.md").read_text(encoding="utf-8")
+    return re.search(rf"<!-- {name} -->\n```python\n(.*?)```", text, flags=re.DOTALL)[1]
 
 
 def execute(name, **given):
@@ -143,24 +141,3 @@ def test_superpoints_in_pointcept(monkeypatch, tmp_path):
     given = {"superpoint": torch.cat([few, few]), "offset": torch.tensor([len(few), 2 * len(few)])}
     both = execute("in Pointcept", torch=torch, **given)["superpoint"]
     assert torch.equal(both, batched([few.numpy(), few.numpy()]))
-
-
-@pytest.mark.skipif(shutil.which("sed") is None, reason="no sed")
-def test_a_scalar_field_for_cloudcompare(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    Path("out").mkdir()
-    labels = torch.arange(100_000) % 777
-    text = torch.frombuffer(
-        bytearray(b"property int label\n" * 16), dtype=torch.float32
-    )  # stays as it is in the numbers
-    points = torch.rand(100_000, 3)
-    points.view(-1)[: len(text)] = text
-    write_cloud(Path("out/points.ply"), points, torch.rand(100_000, 3), labels)
-    subprocess.run(["bash", "-c", program("cloudcompare command", "bash", "in_and_out.md")], check=True)
-    head, body = Path("cloudcompare.ply").read_bytes().split(b"end_header\n", 1)
-    assert re.findall(r"property (\w+) (\w+)", head.decode()) == [
-        ("float", "x"), ("float", "y"), ("float", "z"), ("uchar", "red"), ("uchar", "green"), ("uchar", "blue"),
-        ("int", "scalar_label"),
-    ]  # fmt: skip
-    assert body == Path("out/points.ply").read_bytes().split(b"end_header\n", 1)[1]
-    assert np.array_equal(read_vertex_property(Path("cloudcompare.ply"), "scalar_label"), labels)
