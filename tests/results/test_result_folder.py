@@ -183,6 +183,26 @@ def test_a_room_is_seen_from_higher_than_one_wall(turns, degrees):
     assert np.degrees(np.arcsin(-away[1] / np.linalg.norm(away))) == pytest.approx(degrees, abs=1)
 
 
+@pytest.mark.parametrize(("turns", "aspect"), [((0,), 0.5), ((0, 1, 2, 3), 0.5), ((0, 1, 2, 3), 1.5), ((1, 3), 1.5)])
+def test_a_long_cloud_lies_as_the_picture_does(turns, aspect):
+    """In portrait it is seen along, in landscape across, unless the cameras tell; all of it is in the picture."""
+    frames = []
+    for turn in turns:
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[:3, :3] = torch.linalg.matrix_power(torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]).double(), turn)
+        frames.append(tj.Frame(torch.zeros(3, 4, 4), torch.eye(3), pose))
+    points = torch.rand(9000, 3, generator=torch.Generator().manual_seed(0))
+    for sides in ([4.0, 1, 1], [1.0, 1, 4]):
+        scene = tj.Scene(points * torch.tensor(sides), frames if sides[0] > 1 or len(turns) > 1 else ())
+        view = fitted(scene, np.array([0.0, -1, 0]), 0.8, aspect)
+        seen = (scene.points.double().numpy() - view.position) @ view.axes.T
+        shares = seen[:, :2] / seen[:, 2:] / np.tan(0.4) / [aspect, 1]
+        assert (np.abs(shares) < 1).all(1).mean() > 0.996
+        assert np.ptp(shares, axis=0).max() > 1.7
+        wide, high = np.ptp(shares, axis=0) * [aspect, 1]
+        assert (wide > high) == (aspect > 1)
+
+
 class TestCrops:
     def test_best_first(self, result):
         seen = max(result.records(), key=lambda record: len(record.views))

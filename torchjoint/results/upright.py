@@ -25,7 +25,7 @@ FLAT = 8.0
 #: A plane counts if it has at least this share of the points.
 SMALLEST_SHARE = 0.03
 #: Share of the points that may lie beyond each edge of a view, and its distance in that from which the others just fit.
-LEFT_OUT, MARGIN = 0.003, 1.05
+LEFT_OUT, MARGIN = 0.0005, 1.06
 
 
 @one_thread_per_operation()
@@ -96,7 +96,7 @@ class View(NamedTuple):
 
 
 def fitted(scene: Scene, up: npt.NDArray[np.float64], fov: float, aspect: float) -> View:
-    """A view of the whole cloud, from above, looking where the cameras look.
+    """A view of the whole cloud, from above, looking where the cameras look; in portrait along its longer side.
 
     Args:
         scene: the cloud and its cameras.
@@ -105,7 +105,7 @@ def fitted(scene: Scene, up: npt.NDArray[np.float64], fov: float, aspect: float)
         aspect: width / height of the picture.
     """
     points = scene.points[:: -(-len(scene.points) // SAMPLED)].double().numpy()
-    center, forward = np.median(points, axis=0), _forward(scene, up)
+    center, forward = np.median(points, axis=0), _forward(scene, up, points, aspect)
     right = np.cross(forward, up) / np.linalg.norm(np.cross(forward, up))
     axes = np.stack([right, np.cross(forward, right), forward])
     at = (points - center) @ axes.T
@@ -117,14 +117,23 @@ def fitted(scene: Scene, up: npt.NDArray[np.float64], fov: float, aspect: float)
     return View(target - MARGIN * distance * forward, target, axes)
 
 
-def _forward(scene: Scene, up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The direction [3] of a view from above, in the mean viewing direction of the cameras; unit length."""
+def _forward(
+    scene: Scene, up: npt.NDArray[np.float64], points: npt.NDArray[np.float64], aspect: float
+) -> npt.NDArray[np.float64]:
+    """The direction [3] of a view from above, in the mean viewing direction of the cameras; unit length.
+
+    If there is none, or in portrait, a long cloud lies as the picture does, and is seen from higher, past its walls.
+    """
     count = min(16, len(scene.frames))
     chosen = np.linspace(0, max(len(scene.frames) - 1, 0), count).astype(int).tolist()
     forward = sum((scene.frames[i].world_to_camera[2, :3].numpy() for i in chosen), np.zeros(3))
     forward = forward - up * (forward @ up)
-    down = 0.7
-    if np.linalg.norm(forward) < 0.3 * max(count, 1):  # cameras that look down, or around, as in a room with four walls
-        forward, down = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]), 1.4
-    forward = forward / np.linalg.norm(forward) - down * up
+    is_free, is_tall = np.linalg.norm(forward) < 0.3 * max(count, 1), aspect < 0.8
+    if is_free:  # cameras that look down, or around, as in a room with four walls
+        forward = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    forward, right = (one / np.linalg.norm(one) for one in (forward, np.cross(forward, up)))
+    low, high = np.quantile(points @ np.stack([right, forward]).T, [0.01, 0.99], axis=0)
+    if (is_free or is_tall) and np.diff(high - low)[0] * (1 - 2 * is_tall) > 0.2 * (high - low).min():
+        forward = right
+    forward = forward - (2.0 if is_tall else 1.4 if is_free else 0.7) * up
     return np.asarray(forward / np.linalg.norm(forward))
