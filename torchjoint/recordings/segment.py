@@ -271,7 +271,8 @@ def segment_recording(
         if masks is not None:
             made["masks"] = [str(masks.absolute()), without_masks]
         logger.info("writing %s", out)
-        write_result(partial, scene, result, config, str(path), level, made=made, seconds=clock.seconds)
+        parts = clock.seconds
+        write_result(partial, scene, result, config, str(path), level, made=made, seconds=parts, progress=progress)
     return Segmented(result, segmenter, scene)
 
 

@@ -19,6 +19,7 @@ import torch
 import yaml
 from PIL import Image
 from torch import Tensor
+from tqdm import tqdm
 
 from torchjoint.config import Config, read_yaml
 from torchjoint.datasets.files.ply import write_cloud
@@ -116,6 +117,7 @@ def write_result(
     *,
     made: Mapping[str, Any] | None = None,
     seconds: Mapping[str, float] | None = None,
+    progress: bool = False,
 ) -> None:
     """Writes points.ply, points.npz, segments.json, images/NAME.png, overview.png and run.yaml into a folder.
 
@@ -124,26 +126,32 @@ def write_result(
     run.yaml also records the granularity of the labels, the values of `made`, and the wall-clock `seconds` of the run's
     parts before, with those of writing. manifest.json has the checksums.
     """
-    start = time.perf_counter()
+    start, bar = time.perf_counter(), tqdm(total=5, desc="write", unit="part", disable=not progress)
     _remove_earlier(folder)
     # Each part below uses all label images: they are computed once, and kept packed.
     packed = parallel_map(lambda index: pack(result.images[index]), range(len(result.images)))
     result, scene = replace(result, images=LabelImages(packed)).labelled(scene)
     write_cloud(folder / "points.ply", scene.points, label_colors(result.points), result.points)
+    bar.update()
     arrays = {"points": scene.points, "labels": result.points, "colors": scene.colors}
     stored = {key: value.numpy() for key, value in arrays.items() if value is not None}
     np.savez_compressed(folder / "points.npz", **stored)  # type: ignore[arg-type]
+    bar.update()
     last_label = _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
         write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.superpoint_images)
     write_inputs(folder, scene, result)
+    bar.update()
     scene = replace(scene, up=up_direction(scene))
     if len(scene.frames):
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
     write_segments(folder, scene, result, names_of_masks(folder))
+    bar.update()
     overview(scene, result, names=frames_with_masks(folder)).savefig(folder / "overview.png", dpi=100, pil_kwargs=PNG)
     record = _run_record(scene, result, config, source, granularity, last_label) | dict(made or {})
     write_manifest(folder, record)
+    bar.update()
+    bar.close()
     parts = dict(seconds or {}) | {"write": time.perf_counter() - start}
     record["seconds"] = {part: round(value, 3) for part, value in parts.items()}
     (folder / "run.yaml").write_text(yaml.safe_dump(record, sort_keys=False))
