@@ -246,14 +246,11 @@ class JointSegmenter(nn.Module):
         with tqdm(total=len(scene.frames), initial=done, desc="frames", unit="frame", disable=not shown) as bar:
             yield done
             for seen in batches:
-                self._add(seen)
+                with on_cpu():
+                    self.state += seen
                 bar.update(len(self.state.observations) - done)
                 done = len(self.state.observations)
                 yield done
-
-    @on_cpu()
-    def _add(self, seen: Evidence | Sequence[FrameEvidence]) -> None:
-        self.state += seen
 
     @on_cpu()
     def _start(self, scene: Scene, resume: Callable[[Observations], Evidence | None] | None) -> dict[int, Frame]:

@@ -116,6 +116,6 @@ def test_a_run_ends_before_it_fuses(tmp_path, scene_of, run, monkeypatch):
     folder = write_folder(tmp_path / "recording", scene_of(0), cloud=False)
     for file in folder.glob("*.pose.txt"):
         np.savetxt(file, np.linalg.inv(np.loadtxt(file)))
-    monkeypatch.setattr("torchjoint.datasets.fusion.Volume", lambda *_: 1 / 0)
+    monkeypatch.setattr("torchjoint.datasets.fusion.add_frame", lambda *_: 1 / 0)
     with pytest.raises(SystemExit, match=r"recording: the poses look inverted: .* or the reverse\? .*--ignore-poses"):
         run("segment", folder, "-o", tmp_path / "out")

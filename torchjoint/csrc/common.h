@@ -90,12 +90,12 @@ inline void check_index(int64_t value, int64_t count, const char* name, int64_t 
   }
 }
 
-// Checks numbers in [0, 1]; the error names the argument and the position.
-inline void check_shares(const float* values, int64_t count, const char* name) {
+// Checks numbers from `low` to `high`; the error begins with `expected`, and names the position.
+inline void check_all(const float* values, int64_t count, float low, float high, const char* expected) {
   int32_t bad = 0;
-  for (int64_t i = 0; i < count; ++i) bad |= !(values[i] >= 0) | !(values[i] <= 1);
+  for (int64_t i = 0; i < count; ++i) bad |= !(values[i] >= low) | !(values[i] <= high);
   for (int64_t i = 0; bad && i < count; ++i) {
-    if (!(values[i] >= 0 && values[i] <= 1)) fail(name, ": expected numbers in [0, 1], got ", values[i], " at ", i);
+    check(values[i] >= low && values[i] <= high, expected, ", got ", values[i], " at ", i);
   }
 }
 
@@ -107,9 +107,19 @@ Tensor to_tensor(const std::vector<T>& values, ScalarType dtype, const Tensor& l
   return tensor;
 }
 
-inline void check_node(int64_t node, int64_t num_nodes, int64_t edge) {
-  if (static_cast<uint64_t>(node) >= static_cast<uint64_t>(num_nodes)) [[unlikely]] {
-    fail("edge_index: expected node numbers in [0, ", num_nodes, "), got ", node, " at edge ", edge);
+// A new CPU tensor [2, M] int64 with the numbers of two vectors.
+template <typename T>
+Tensor to_pairs(const std::vector<T>& first, const std::vector<T>& second, const Tensor& like) {
+  Tensor pairs = torch::stable::new_empty(like, {2, static_cast<int64_t>(first.size())}, ScalarType::Long);
+  std::copy(second.begin(), second.end(), std::copy(first.begin(), first.end(), pairs.mutable_data_ptr<int64_t>()));
+  return pairs;
+}
+
+// Checks the two ends of an edge.
+inline void check_ends(int64_t u, int64_t v, int64_t num_nodes, int64_t edge) {
+  for (const int64_t node : {u, v}) {
+    check(static_cast<uint64_t>(node) < static_cast<uint64_t>(num_nodes), "edge_index: expected node numbers in [0, ",
+          num_nodes, "), got ", node, " at edge ", edge);
   }
 }
 

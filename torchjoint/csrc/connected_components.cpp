@@ -14,8 +14,7 @@ Tensor connected_components(const Tensor& edge_index, int64_t num_nodes) {
   const int64_t* const second = first + num_edges;
   UnionFind components(num_nodes);
   for (int64_t e = 0; e < num_edges; ++e) {
-    check_node(first[e], num_nodes, e);
-    check_node(second[e], num_nodes, e);
+    check_ends(first[e], second[e], num_nodes, e);
     const int32_t a = components.find(static_cast<int32_t>(first[e]));
     const int32_t b = components.find(static_cast<int32_t>(second[e]));
     if (a != b) components.join(a, b);

@@ -61,15 +61,6 @@ class Components : public UnionFind {
   std::vector<Ends> refused_;  // edges that the second pass may need, in order
 };
 
-template <typename Weight>
-void check_edges(const int64_t* edge_index, const Weight* weight, int64_t num_edges, int64_t num_nodes) {
-  for (int64_t e = 0; e < num_edges; ++e) {
-    check_node(edge_index[e], num_nodes, e);
-    check_node(edge_index[num_edges + e], num_nodes, e);
-    check(weight[e] == weight[e], "weight: expected no NaN, got NaN at edge ", e);
-  }
-}
-
 Tensor felzenszwalb(const Tensor& edge_index, const Tensor& weight, int64_t num_nodes, double scale, int64_t min_size) {
   const Tensor edges = checked_edge_index(edge_index);
   const int64_t num_edges = edges.size(1);
@@ -81,7 +72,10 @@ Tensor felzenszwalb(const Tensor& edge_index, const Tensor& weight, int64_t num_
   Tensor labels = torch::stable::new_empty(edges, {num_nodes}, ScalarType::Long);
   with_values(weights, [&](const auto* values) {
     const int64_t* const ends = edges.const_data_ptr<int64_t>();
-    check_edges(ends, values, num_edges, num_nodes);
+    for (int64_t e = 0; e < num_edges; ++e) {
+      check_ends(ends[e], ends[num_edges + e], num_nodes, e);
+      check(values[e] == values[e], "weight: expected no NaN, got NaN at edge ", e);
+    }
     Components components(num_nodes, static_cast<float>(scale), min_size);
     Ascending(ends, values, num_edges, components).visit_all();
     components.join_small();

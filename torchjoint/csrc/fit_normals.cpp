@@ -6,23 +6,17 @@ namespace torchjoint {
 namespace {
 
 template <typename Value, typename Index>
-bool scatter(const Value* points, int64_t num_points, int64_t i, const Index* row, int64_t length, Scatter& out) {
-  for (int64_t k = 0; k < length; ++k) {
-    const int64_t j = row[k];
-    if (static_cast<uint64_t>(j) >= static_cast<uint64_t>(num_points)) return false;
-    out.add(from_to(points, i, j));
-  }
-  return true;
-}
-
-template <typename Value, typename Index>
 void fit(const Value* points, const Index* neighbors, const RowOrder& order, int64_t num_points, int64_t row_length,
          float* normals) {
   for_blocks_of_rows(neighbors, num_points, row_length, [&](int64_t, int64_t first, int64_t last) {
     for (int64_t place = first; place < last; ++place) {
       const int64_t i = order.row(place);
       Scatter sums;
-      if (!scatter(points, num_points, i, neighbors + i * row_length, row_length, sums)) return false;
+      for (int64_t k = 0; k < row_length; ++k) {
+        const int64_t j = neighbors[i * row_length + k];
+        if (static_cast<uint64_t>(j) >= static_cast<uint64_t>(num_points)) return false;
+        sums.add(from_to(points, i, j));
+      }
       const Vector n = row_length < 2 ? kUp : upper(smallest_eigenvector(sums.covariance()));
       normals[3 * i] = static_cast<float>(n.x);
       normals[3 * i + 1] = static_cast<float>(n.y);

@@ -269,8 +269,7 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
   const Tensor counts = checked_counts(count, num_edges);
   for (int64_t e = 0; e < num_edges; ++e) {
     const int64_t a = ends[e], b = ends[num_edges + e];
-    check_node(a, num_regions, e);
-    check_node(b, num_regions, e);
+    check_ends(a, b, num_regions, e);
     check(priors[e] >= 0 && priors[e] <= 1, "cost: expected numbers in [0, 1], got ", priors[e], " at edge ", e);
     if (a == b) continue;
     graph.add_edges(static_cast<int32_t>(a), static_cast<int32_t>(b),
@@ -287,12 +286,7 @@ std::tuple<Tensor, Tensor> mask_merges(const Tensor& edge_index, const Tensor& c
     cost_of_merge.push_back(value);
     merged.join(a, b);
   });
-  const int64_t num_merges = static_cast<int64_t>(lower.size());
-  Tensor pairs = torch::stable::new_empty(edges, {2, num_merges}, ScalarType::Long);
-  int64_t* const out = pairs.mutable_data_ptr<int64_t>();
-  std::copy(lower.begin(), lower.end(), out);
-  std::copy(higher.begin(), higher.end(), out + num_merges);
-  return {pairs, to_tensor(cost_of_merge, ScalarType::Double, edges)};
+  return {to_pairs(lower, higher, edges), to_tensor(cost_of_merge, ScalarType::Double, edges)};
 }
 
 }  // namespace

@@ -70,24 +70,7 @@ class Merging {
     });
   }
 
-  // Numbers the groups by their first regions.
-  void label(int64_t* labels) {
-    int64_t next = 0;
-    for (int64_t region = 0; region < num_regions_; ++region) {
-      const int32_t lowest = merged_.find(static_cast<int32_t>(region));
-      labels[region] = lowest == region ? next++ : labels[lowest];
-    }
-  }
-
- private:
-  int64_t first(int64_t e) const { return edges_[e]; }
-  int64_t second(int64_t e) const { return edges_[num_edges_ + e]; }
-
-  bool join(const RegionBoundary& border, const int32_t* region) {
-    merged_.join(region[border.region[0]], region[border.region[1]]);
-    return true;
-  }
-
+  // Groups are numbered by their first regions.
   struct Groups {
     std::vector<int32_t> of_region, root;  // the root of a group is its lowest region
   };
@@ -101,6 +84,15 @@ class Merging {
           lowest == region ? static_cast<int32_t>(groups.root.size() - 1) : groups.of_region[lowest];
     }
     return groups;
+  }
+
+ private:
+  int64_t first(int64_t e) const { return edges_[e]; }
+  int64_t second(int64_t e) const { return edges_[num_edges_ + e]; }
+
+  bool join(const RegionBoundary& border, const int32_t* region) {
+    merged_.join(region[border.region[0]], region[border.region[1]]);
+    return true;
   }
 
   // For each region the lowest region of its connected part. Only an edge that costs at most the threshold connects.
@@ -186,7 +178,8 @@ Tensor merge_regions(const Tensor& edge_index, const Tensor& cost, const Tensor&
   merging.merge_up_to(threshold * kUnit, by_size);
   if (min_size > 0) merging.join_small(min_size);
   Tensor labels = torch::stable::new_empty(sizes, {num_regions}, ScalarType::Long);
-  merging.label(labels.mutable_data_ptr<int64_t>());
+  const std::vector<int32_t> group = merging.current_groups().of_region;
+  std::copy(group.begin(), group.end(), labels.mutable_data_ptr<int64_t>());
   return labels;
 }
 

@@ -18,8 +18,7 @@ constexpr float kLargestCost = 1 << 10;
 
 // Checks edge e, and returns its cost as a whole number.
 inline double checked_cost(const int64_t* edges, const float* cost, int64_t num_edges, int64_t num_regions, int64_t e) {
-  check_node(edges[e], num_regions, e);
-  check_node(edges[num_edges + e], num_regions, e);
+  check_ends(edges[e], edges[num_edges + e], num_regions, e);
   check(cost[e] >= 0 && cost[e] <= kLargestCost, "cost: expected numbers in [0, ", kLargestCost, "], got ", cost[e],
         " at edge ", e);
   return std::nearbyint(cost[e] * kUnit);

@@ -342,9 +342,7 @@ double largest_capacity(const Value* capacity, int64_t num_edges) {
   double largest = 0;
   for (int64_t e = 0; e < num_edges; ++e) {
     const double c = capacity[e];
-    if (!(c >= 0 && std::isfinite(c))) [[unlikely]] {
-      fail("capacity: expected finite numbers >= 0, got ", c, " at edge ", e);
-    }
+    check(c >= 0 && std::isfinite(c), "capacity: expected finite numbers >= 0, got ", c, " at edge ", e);
     largest = std::max(largest, c);
   }
   return largest;
@@ -412,8 +410,7 @@ std::tuple<Tensor, Tensor> min_cut(const Tensor& edge_index, const Tensor& capac
         [&](const auto* source, const auto* sink) { return terminal_balances(source, sink, num_nodes, quantise); }));
     for (int64_t e = 0; e < num_edges; ++e) {
       const int64_t u = index[e], v = index[num_edges + e];
-      check_node(u, num_nodes, e);
-      check_node(v, num_nodes, e);
+      check_ends(u, v, num_nodes, e);
       preflow.count_edge(u, v);
     }
     preflow.reserve_arcs();

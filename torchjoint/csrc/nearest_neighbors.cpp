@@ -270,14 +270,6 @@ Tensor converted(const Tensor& tensor, ScalarType dtype) {
   return values;
 }
 
-// A copy of points in float64 without coordinates whose squares vanish.
-Tensor without_tiny(const Tensor& points) {
-  Tensor values = converted<double, double>(points, ScalarType::Double);
-  double* const at = values.mutable_data_ptr<double>();
-  std::replace_if(at, at + values.numel(), is_tiny<double>, 0.0);
-  return values;
-}
-
 std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count, int64_t num_distances,
                                              const std::optional<Tensor>& limits) {
   check(points.is_cpu(), "points: expected a CPU tensor");
@@ -308,7 +300,11 @@ std::tuple<Tensor, Tensor> nearest_neighbors(const Tensor& points, int64_t count
         nearest_neighbors(converted<double, float>(coordinates, ScalarType::Double), count, num_distances, limits);
     return {indices, converted<float, double>(distances, ScalarType::Float)};
   }
-  if (has_tiny) coordinates = without_tiny(coordinates);
+  if (has_tiny) {  // a copy without coordinates whose squares vanish
+    coordinates = converted<double, double>(coordinates, ScalarType::Double);
+    double* const at = coordinates.mutable_data_ptr<double>();
+    std::replace_if(at, at + coordinates.numel(), is_tiny<double>, 0.0);
+  }
   count = std::min(count, std::max<int64_t>(num_points - 1, 0));
   num_distances = std::min(num_distances, count);
   Tensor indices = torch::stable::new_empty(coordinates, {num_points, count}, ScalarType::Int);

@@ -80,9 +80,10 @@ class Voters {
     bool is_done = false;
     for (int64_t ring = 1; !is_done; ++ring) {  // of cells; a side of it that is too far is skipped
       is_done = true;
-      if (2 * agreeing(marker, nearest_side + (ring - 1) * side) >= enough)
-        return false;  // independent of the other votes
       const int64_t closer = (ring - 1) * side;
+      const double known = nearest_side + closer;  // within this distance, all markers are known
+      if (2 * count(marker, std::min(farthest(), known * known)).second >= enough)
+        return false;  // whatever others vote
       const auto is_near = [&](int64_t gap, bool is_inside) {
         const bool found = is_inside && static_cast<double>(gap + closer) * (gap + closer) < farthest();
         is_done &= !found;
@@ -97,13 +98,7 @@ class Voters {
         for (int64_t r = row - ring + 1; r < row + ring; ++r) cells.for_each(r, column + ring, column + ring, ask);
       }
     }
-    const double limit = farthest();
-    int64_t votes = 0, agree = 0;
-    for (const Near& one : near_) {
-      if (!(one.distance < limit)) break;
-      ++votes;
-      agree += one.label == marker.label;
-    }
+    const auto [votes, agree] = count(marker, farthest());
     return 2 * agree < std::min(votes, others);
   }
 
@@ -113,15 +108,14 @@ class Voters {
     int32_t label;
   };
 
-  // The number of voters with the marker's label within a distance, pixels. All nearer markers must be known.
-  int64_t agreeing(const Marker& marker, int64_t within) const {
-    const double limit = std::min(farthest(), static_cast<double>(within) * within);
-    int64_t count = 0;
+  // How many known markers are within a squared distance, and how many of them have the marker's label.
+  std::pair<int64_t, int64_t> count(const Marker& marker, double limit) const {
+    int64_t votes = 0, agree = 0;
     for (const Near& one : near_) {
       if (!(one.distance < limit)) break;
-      count += one.label == marker.label;
+      ++votes, agree += one.label == marker.label;
     }
-    return count;
+    return {votes, agree};
   }
 
   // Squared distance of the last marker; infinite while there are too few markers.
@@ -213,7 +207,7 @@ Tensor outvoted_markers(const Tensor& markers, const Tensor& colors, double colo
   check(color_weight >= 0 && color_weight <= kMaxWeight, "color_weight: expected 0 to 1000, got ", color_weight);
   check(num_voters >= 1 && num_voters <= kMaxCount, "num_voters: expected 1 to 2^31 - 1, got ", num_voters);
   check(std::isfinite(near) && near >= 0, "near: expected a finite number >= 0, got ", near);
-  check_shares(color.const_data_ptr<float>(), 3 * num_pixels, "colors");
+  check_all(color.const_data_ptr<float>(), 3 * num_pixels, 0, 1, "colors: expected numbers in [0, 1]");
 
   Tensor outvoted = torch::stable::new_empty(marker, {height, width}, ScalarType::Bool);
   bool* const out = outvoted.mutable_data_ptr<bool>();

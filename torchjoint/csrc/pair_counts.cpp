@@ -143,10 +143,8 @@ std::vector<Point> read_points(const float* u, const float* v, const int64_t* pi
   std::vector<Point> points;
   points.reserve(count);
   for (int64_t i = 0; i < count; ++i) {
-    if (!std::isfinite(u[i])) [[unlikely]]
-      fail("u: expected finite numbers, got ", u[i], " at ", i);
-    if (!std::isfinite(v[i])) [[unlikely]]
-      fail("v: expected finite numbers, got ", v[i], " at ", i);
+    check(std::isfinite(u[i]), "u: expected finite numbers, got ", u[i], " at ", i);
+    check(std::isfinite(v[i]), "v: expected finite numbers, got ", v[i], " at ", i);
     check_index(pixel[i], kMaxCount, "pixel", i);
     check_index(label[i], kMaxCount, "label", i);
     if (segment[i] == -1) continue;

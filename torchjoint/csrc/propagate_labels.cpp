@@ -91,11 +91,8 @@ class LabelPropagation {
   // Labels all pixels from the markers, which are the labels >= 0; there must be at least one.
   void run(const int32_t* markers) {
     for_each_pixel([&](int64_t pixel, int64_t here) {
-      if (markers[pixel] >= 0) {
-        reach(here, path_of(markers[pixel]));
-      } else {
-        path_[here] = kFar;
-      }
+      path_[here] = kFar;
+      if (markers[pixel] >= 0) reach(here, path_of(markers[pixel]));
     });
     spread();
   }
@@ -110,13 +107,9 @@ class LabelPropagation {
       if (markers[pixel] >= 0) ++count[root[part[here]]];
     });
     std::vector<uint8_t> stays(root.size());
-    bool all_stay = true, any_stays = false;
-    for (size_t i = 0; i < root.size(); ++i) {
-      stays[i] = count[root[i]] >= least;
-      all_stay &= stays[i];
-      any_stays |= stays[i];
-    }
-    if (all_stay || !any_stays) return;
+    for (size_t i = 0; i < root.size(); ++i) stays[i] = count[root[i]] >= least;
+    const auto num_stay = static_cast<size_t>(std::count(stays.begin(), stays.end(), 1));
+    if (num_stay == 0 || num_stay == stays.size()) return;
     for_each_pixel(
         [&](int64_t, int64_t here) { path_[here] = stays[part[here]] ? path_of(label_of(path_[here])) : kFar; });
     for_each_pixel([&](int64_t, int64_t here) {
@@ -241,8 +234,8 @@ Tensor propagate_labels(const Tensor& markers, const Tensor& colors, const Tenso
         width);
   check((height + 2) * (width + 2) <= kMaxCount, "markers: expected fewer than 2^31 pixels with a margin of one, got ",
         height, " x ", width);
-  check_shares(color.const_data_ptr<float>(), 3 * num_pixels, "colors");
-  check_shares(boundaries.const_data_ptr<float>(), num_pixels, "boundary");
+  check_all(color.const_data_ptr<float>(), 3 * num_pixels, 0, 1, "colors: expected numbers in [0, 1]");
+  check_all(boundaries.const_data_ptr<float>(), num_pixels, 0, 1, "boundary: expected numbers in [0, 1]");
 
   Tensor labels = torch::stable::new_empty(marker, {height, width}, ScalarType::Int);
   const int32_t* const given = marker.const_data_ptr<int32_t>();

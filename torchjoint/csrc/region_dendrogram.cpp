@@ -37,12 +37,7 @@ std::tuple<Tensor, Tensor> region_dendrogram(const Tensor& edge_index, const Ten
                         return true;
                       });
 
-  const int64_t num_merges = static_cast<int64_t>(mean.size());
-  Tensor pairs = torch::stable::new_empty(edges, {2, num_merges}, ScalarType::Long);
-  int64_t* const out = pairs.mutable_data_ptr<int64_t>();
-  std::copy(lower.begin(), lower.end(), out);
-  std::copy(higher.begin(), higher.end(), out + num_merges);
-  return {pairs, to_tensor(mean, ScalarType::Double, edges)};
+  return {to_pairs(lower, higher, edges), to_tensor(mean, ScalarType::Double, edges)};
 }
 
 }  // namespace

@@ -119,13 +119,8 @@ std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> segment_graphs(const Tensor& 
     graphs.start.push_back(end);
   }
 
-  const int64_t num_edges = graphs.start.back();
-  Tensor edge_index = torch::stable::new_empty(segments, {2, num_edges}, ScalarType::Long);
-  int64_t* const ends = edge_index.mutable_data_ptr<int64_t>();
-  std::copy(graphs.first.begin(), graphs.first.end(), ends);
-  std::copy(graphs.second.begin(), graphs.second.end(), ends + num_edges);
   return {to_tensor(nodes.pixel, ScalarType::Long, segments), to_tensor(nodes.start, ScalarType::Long, segments),
-          edge_index, to_tensor(graphs.start, ScalarType::Long, segments),
+          to_pairs(graphs.first, graphs.second, segments), to_tensor(graphs.start, ScalarType::Long, segments),
           to_tensor(graphs.weight, ScalarType::Double, segments)};
 }
 

@@ -29,8 +29,7 @@ Tensor splat_depth(const Tensor& row, const Tensor& column, const Tensor& depth,
     check_index(r[i], height, "row", i);
     check_index(c[i], width, "column", i);
     check_index(half[i], kMaxCount, "reach", i);
-    if (std::isnan(here)) [[unlikely]]
-      fail("depth: expected no NaN, got NaN at ", i);
+    check(!std::isnan(here), "depth: expected no NaN, got NaN at ", i);
     const int64_t top = std::max<int64_t>(r[i] - half[i], 0), bottom = std::min(r[i] + half[i], height - 1);
     const int64_t left = std::max<int64_t>(c[i] - half[i], 0), right = std::min(c[i] + half[i], width - 1);
     for (int64_t y = top; y <= bottom; ++y) {

@@ -82,14 +82,6 @@ class Voting {
   Array<float> votes_;
 };
 
-void check_finite(const float* values, int64_t count) {
-  int32_t bad = 0;
-  for (int64_t i = 0; i < count; ++i) bad |= !(std::abs(values[i]) <= std::numeric_limits<float>::max());
-  for (int64_t i = 0; bad && i < count; ++i) {
-    check(std::isfinite(values[i]), "images: expected finite numbers, got ", values[i], " at ", i);
-  }
-}
-
 Tensor structured_forest(const Tensor& images, const Tensor& children, const Tensor& features, const Tensor& thresholds,
                          const Tensor& boundary_counts, const Tensor& boundary_pixels, int64_t trees_per_site,
                          int64_t stride) {
@@ -115,7 +107,8 @@ Tensor structured_forest(const Tensor& images, const Tensor& children, const Ten
   if (batch * height * width == 0) return result;
   const float* const data = image.const_data_ptr<float>();
   float* const out = result.mutable_data_ptr<float>();
-  check_finite(data, batch * 3 * height * width);
+  constexpr float kLargest = std::numeric_limits<float>::max();
+  check_all(data, batch * 3 * height * width, -kLargest, kLargest, "images: expected finite numbers");
   // Each thread processes whole images; only a single image is divided between threads.
   in_parallel(batch, [&](int64_t begin, int64_t end) {
     Voting voting(forest, height, width, stride / 2);

@@ -86,14 +86,12 @@ def fuse_cloud(
 
 def _fuse(frames: Sequence[Frame], voxel_size: float, progress: bool | None, name: str) -> dict[str, Any]:
     """What :func:`fuse_cloud` returns, and what it has told of the poses, by the name of the warning's class."""
-    if not 1e-4 <= voxel_size <= 10:
-        raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
+    volume = Volume(voxel_size, MAX_DEPTH)
     try:
         check_unit(frames)
         doubts = _doubts(frames)
         _tell(doubts, name)
         origin = volume_origin(frames, voxel_size)
-        volume = Volume(voxel_size, MAX_DEPTH)
         fused = 0
         is_hidden = None if progress is None else not progress
         for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=is_hidden):

@@ -138,10 +138,9 @@ class Shot(NamedTuple):
 
     def read(self) -> Frame:
         """Reads the frame."""
-        if isinstance(self.depth, Path):
-            depth = read_depth(self.depth, self.unit) if self.has_depth() else None
-        else:
-            depth = None if self.depth is None else self.depth()
+        depth = None
+        if self.depth is not None and self.has_depth():
+            depth = read_depth(self.depth, self.unit) if isinstance(self.depth, Path) else self.depth()
         image = read_image(self.color, self.camera.size) if isinstance(self.color, Path) else self.color()
         frame = self.camera.frame(image, self.world_to_camera, depth, self.name)
         if self.labels is None or not has_file(self.labels):

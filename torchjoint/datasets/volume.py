@@ -40,6 +40,8 @@ class Volume:
     """
 
     def __init__(self, voxel_size: float, far: float, memory: int | None = None) -> None:
+        if not 1e-4 <= voxel_size <= 10:
+            raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
         self.voxel_size, self.far, self.memory = voxel_size, far, memory
         self.truncation = SIDE / 2 * voxel_size
         self._key = torch.zeros(0, dtype=torch.int64)  # [B] ascending: the blocks

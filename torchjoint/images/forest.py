@@ -65,22 +65,14 @@ class Forest:
     trees_per_site: int = 4  #: number of trees that vote at one image site; neighbouring sites use different trees
 
     def __post_init__(self) -> None:
-        trees, nodes = self.children.shape
-        if trees == 0 or nodes == 0 or not 1 <= self.trees_per_site <= trees:
-            raise ValueError(f"trees_per_site: expected 1 to {trees}, got {self.trees_per_site} ({nodes} nodes a tree)")
-        for name in ("features", "thresholds", "boundary_counts"):
-            if getattr(self, name).shape != (trees, nodes):
-                raise ValueError(f"{name}: expected shape {[trees, nodes]}, got {list(getattr(self, name).shape)}")
-        is_inner = self.children != 0
-        # If every child comes after its parent, there are no cycles.
-        if (is_inner & ((self.children <= np.arange(1, nodes + 1)) | (self.children >= nodes))).any():
-            raise ValueError("children: expected places after the parent's, and inside the tree")
-        if ((self.features < 0) | (self.features >= NUM_FEATURES)).any():
-            raise ValueError(f"features: expected numbers in [0, {NUM_FEATURES})")
-        if not np.isfinite(self.thresholds).all():
-            raise ValueError("thresholds: expected finite numbers")
-        if (self.boundary_counts < 0).any() or self.boundary_counts.sum(dtype=np.int64) != len(self.boundary_pixels):
-            raise ValueError(f"boundary_counts: expected counts of {len(self.boundary_pixels)} pixels in all")
+        no_image = torch.empty(0, 3, 1, 1, dtype=torch.float32, device="cpu")
+        structured_forest(no_image, *self.tensors())  # it checks them
+
+    def tensors(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, int]:
+        """The arguments of the operator."""
+        *arrays, trees_per_site = vars(self).values()
+        children, features, thresholds, counts, pixels = map(torch.from_numpy, arrays)
+        return children, features, thresholds, counts, pixels, trees_per_site
 
 
 def read_forest(path: Path) -> Forest:
@@ -299,11 +291,7 @@ def _version(model: str | None) -> tuple[int, int] | None:
 @lru_cache(maxsize=4)
 def _trees(model: str | None, version: tuple[int, int] | None) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, int]:
     """A forest as the operator takes it, cached for the process, because reading a file takes a second."""
-    if model is None:
-        with as_file(files("torchjoint.models") / "bsds500.yml.gz") as path:
-            forest = read_forest(path)
-    else:
-        forest = read_forest(Path(model))
-    *arrays, trees_per_site = vars(forest).values()
-    children, features, thresholds, counts, pixels = map(torch.from_numpy, arrays)
-    return children, features, thresholds, counts, pixels, trees_per_site
+    if model is not None:
+        return read_forest(Path(model)).tensors()
+    with as_file(files("torchjoint.models") / "bsds500.yml.gz") as path:
+        return read_forest(path).tensors()

@@ -211,8 +211,6 @@ class LiveSegmenter(nn.Module):
         image_segmenter: nn.Module | None = None,
     ) -> None:
         super().__init__()
-        if not 1e-4 <= voxel_size <= 10:
-            raise ValueError(f"voxel_size: expected 0.0001 to 10 metres, got {voxel_size}")
         for name, value in (("step", step), ("turn", turn), ("views", views)):
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}: expected a number >= 0, got {value}")

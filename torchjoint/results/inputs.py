@@ -20,7 +20,7 @@ from torchjoint.results.figures import overlay
 from torchjoint.results.manifest import Check, unchecked
 from torchjoint.results.mask_report import MaskMatches, compare_masks, write_mask_report
 from torchjoint.runtime.files import frame_files, write_text
-from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
+from torchjoint.runtime.foreign_files import damage_is, has_file, read_json
 from torchjoint.runtime.threads import LazySequence, parallel_map
 from torchjoint.scene import Frame, Masks, Scene, Segmentation
 
@@ -93,9 +93,9 @@ def read_inputs(folder: Path, names: Sequence[str], check: Check = unchecked) ->
 
 def _read_cameras(folder: Path) -> dict[str, dict[str, Any]]:
     file = folder / CAMERAS
-    present(file, "a result with cameras, which `torchjoint segment` writes")
     with damage_is(f"{file}: not the cameras of these images"):
-        return {record["name"]: record for record in read_json(file, "cameras")["frames"]}
+        content = read_json(file, "a result with cameras, which `torchjoint segment` writes")
+        return {record["name"]: record for record in content["frames"]}
 
 
 def _save(file: Path, pixels: Tensor) -> None:

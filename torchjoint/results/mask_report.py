@@ -15,7 +15,7 @@ from torch import Tensor
 from torchjoint.results.edits import LONGEST
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
+from torchjoint.runtime.foreign_files import damage_is, has_file, read_json
 from torchjoint.runtime.groups import counted_pairs
 from torchjoint.runtime.messages import printable
 from torchjoint.scene import Masks
@@ -82,7 +82,7 @@ def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskMatche
         both = torch.zeros(num_labels + 1, dtype=torch.int64).index_add_(0, label[here], number[here])
         iou = both / (area + pixels - both).clamp(min=1)
         best = int(iou.argmax())
-        record: dict[str, Any] = {
+        record = {
             "id": masks.ids[mask] if masks.ids else mask,
             "name": masks.names[mask] if masks.names else "",
             "score": round(float(masks.scores[mask]), 4),
@@ -138,7 +138,6 @@ def select_masked(folder: Path, result: Result) -> Result:
 
 def _read(folder: Path) -> dict[str, Any]:
     file = folder / FILE
-    present(file, "a result of a recording with masks")
     with damage_is(f"{file}: not the report of a result's masks"):
-        content = read_json(file, "a report on masks")
+        content = read_json(file, "a result of a recording with masks")
         return {name: list(content[name]) for name in ("frames", "segments")}

@@ -99,8 +99,7 @@ class Record:
 
     def number(self, key: str, default: float | None = None) -> float:
         """Returns a finite number; `default` if the key is missing."""
-        value = self._get(key, default)
-        return _number(value, f"{self.name}: {key}")
+        return _number(self._get(key, default), f"{self.name}: {key}")
 
     def text(self, key: str, default: str | None = None) -> str:
         """Returns a string; `default` if the key is missing."""

@@ -178,7 +178,7 @@ def segments_of_members(
     """
     given = [copies[0]]  # whoever takes it is the only one who has its measures
     superpoints = given[0].without_measures()
-    levels = _levels(model.thresholds, superpoints)
+    levels = sorted({one for _, one in merging_steps(model.thresholds)} | {*last_levels(model.thresholds, superpoints)})
     done = partial(advance.get(), 0.99 / (2 * len(copies)))  # each copy, and its members' first step; then they vote
 
     def taken(number: int) -> SuperpointGraph:
@@ -197,10 +197,6 @@ def segments_of_members(
     numbers = range(len(copies))
     found = parallel_map(of_copy, numbers) if len(superpoints.superpoint) <= MANY_POINTS else [*map(of_copy, numbers)]
     return superpoints, levels, [list(chain.from_iterable(of_level)) for of_level in zip(*found, strict=True)]
-
-
-def _levels(thresholds: Sequence[float], superpoints: SuperpointGraph) -> list[float]:
-    return sorted({threshold for _, threshold in merging_steps(thresholds)} | {*last_levels(thresholds, superpoints)})
 
 
 def _segments_by_masks(

@@ -82,7 +82,7 @@ def measure_colors(graph: PointGraph, observations: Observations) -> Colors:
         colors = without_dropouts(graph.colors, graph.edge_index)
     if colors is None:
         return Colors()
-    lab = _to_lab(brightened(colors))
+    lab = to_lab(brightened(colors).T[None, :, :, None].contiguous())[0, :, :, 0].T
     # Distances [E] of the Lab colours of the two ends of each edge.
     step = map_edges(lambda ends: length(rows_of(lab, ends[0]) - rows_of(lab, ends[1])), graph.edge_index)
     known = step[step.isfinite()]
@@ -194,8 +194,3 @@ def _geometry(
                 values[name] = value.new_empty(edge_index.shape[1])
             values[name][EDGES * start : EDGES * start + len(value)] = value
     return values
-
-
-def _to_lab(colors: Tensor) -> Tensor:
-    """Colours [N, 3] RGB in [0, 1] -> [N, 3] Lab."""
-    return to_lab(colors.T[None, :, :, None].contiguous())[0, :, :, 0].T
