@@ -125,7 +125,7 @@ def test_a_recipe_writes_masks_for_the_folder(scene, monkeypatch, name):
         code = re.search(rf"<!-- {name} -->\n```python\n(.*?)```", DOCUMENT, flags=re.DOTALL)[1]
         exec(compile(code, name, "exec"), {})
     else:
-        runpy.run_path(str(ROOT / "examples" / "sam_masks.py"))[name]("recording", "masks")
+        runpy.run_path(str(ROOT / "examples" / "sam_masks.py"))[name](Path("recording"), Path("masks"))
     masked = tj.masks.read_folder("masks", scene)
     first, second = (frame.masks for frame in masked.frames)
     assert len(first) == 2
