@@ -36,6 +36,7 @@ def test_help_lists_the_presets(run, capsys, arguments):
     with pytest.raises(SystemExit):
         run(*arguments)
     text = " ".join(capsys.readouterr().out.split())
+    assert " Example" in text
     for preset in presets():
         assert preset in text
 
