@@ -88,6 +88,13 @@ def test_workflows_run_the_oldest_python():
     assert oldest in {step["with"]["python-version"] for step in steps if "python-version" in step.get("with", {})}
 
 
+def test_a_platform_that_fails_stops_no_release():
+    jobs = yaml.safe_load(text(".github/workflows/wheels.yml"))["jobs"]
+    assert jobs["platforms"]["strategy"]["fail-fast"] is False
+    assert "platforms" in jobs["publish"]["needs"]  # it waits for the wheels
+    assert "!cancelled() && needs.install.result == 'success'" in jobs["publish"]["if"]
+
+
 @pytest.mark.parametrize("page", ["CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md"])
 def test_files_that_are_linked_exist(page):
     for link in re.findall(r"\]\((?!http)([^)#]+)", text(page)):

@@ -10,6 +10,7 @@ import pytest
 
 import torchjoint as tj
 from torchjoint.config import marked_table, parameter_table, superpoint_table
+from torchjoint.datasets.formats import FORMATS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -27,6 +28,11 @@ def test_the_result_is_that_of_the_table_of_real_sets():
     sets = "**mean of the sets without LiDAR**", "**mean of LiDAR**"
     expected = [means[name][column].split()[0] for column in (0, 1) for name in sets]
     assert re.findall(r"\d\.\d+", between("result", "README.md")) == expected
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/in_and_out.md"])
+def test_the_number_of_formats_is_the_code_s(page):
+    assert re.findall(r"(\d+) formats", (ROOT / page).read_text(encoding="utf-8")) == [str(len(FORMATS))]
 
 
 def test_the_readme_is_short():

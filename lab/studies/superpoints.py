@@ -315,9 +315,9 @@ def main() -> None:
     columns = ["boundary recall / under-segmentation error / ASA", *(f"one for {each} points" for each in POINTS)]
     columns += [f"the first has more ASA, of {len(found)} scenes", "ms of a processor for 100,000 points"]
     report.show("superpoints", report.table(columns, rows), arguments.write)
-    short = [[row[0], *(text.split(" / ")[-1] for text in row[1:4]), row[-1]] for row in rows if row[0] in ON_PAGE]
+    short = [[*(text.replace(" / ", "/") for text in row[:4]), row[-1]] for row in rows if row[0] in ON_PAGE]
     if arguments.write:
-        columns = ["ASA of", *(f"one for {each} points" for each in POINTS), "ms"]
+        columns = ["recall/error/ASA", *(f"one for {each} points" for each in POINTS), "ms"]
         report.write_part("compared", report.table(columns, short), PAGE)
 
 

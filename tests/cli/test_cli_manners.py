@@ -36,11 +36,12 @@ def test_help_lists_the_presets(run, capsys, arguments):
     with pytest.raises(SystemExit):
         run(*arguments)
     text = " ".join(capsys.readouterr().out.split())
+    assert " Example" in text
     for preset in presets():
         assert preset in text
 
 
-@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ("demo", "formats", "parameters")])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_has_an_example_and_names_values_as_the_text_does(run, capsys, command):
     with pytest.raises(SystemExit):
         run(command, "--help")
@@ -49,7 +50,8 @@ def test_help_has_an_example_and_names_values_as_the_text_does(run, capsys, comm
     assert "(default: False)" not in text
     assert "PATH" not in text
     assert "--no-overwrite" not in text
-    assert (f"Example: torchjoint {command} " in text) == bool(COMMANDS[command].example)
+    assert not set(re.findall(r"\b(?:STR|INT|FLOAT)\b", text))
+    assert f"Example: torchjoint {command} {COMMANDS[command].example}" in text
 
 
 def test_help_behind_an_argument_is_that_of_the_command(run, capsys):

@@ -1,8 +1,9 @@
-"""The recipes of docs/masks.md, run with stand-ins that return what the networks do, in their formats."""
+"""The recipes of docs/masks.md and examples/, run with stand-ins that return what the networks do, in their formats."""
 
 from __future__ import annotations
 
 import re
+import runpy
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -48,6 +49,15 @@ class Sam2:
         ]
 
 
+def pipeline(task, model, device):
+    def generate(image, points_per_batch):
+        assert np.asarray(image)[0, 0].tolist() == [255, 0, 0]
+        return {"masks": list(masks_in(np.asarray(image))), "scores": torch.tensor([0.45, 0.45])}
+
+    assert (task, model) == ("mask-generation", "facebook/sam-vit-large")
+    return generate
+
+
 class CropFormer:
     def __init__(self, cfg):
         assert cfg.MODEL.WEIGHTS
@@ -68,7 +78,7 @@ class Yolo:
         assert image[0, 0].tolist() == [0, 0, 255]
         self.calls += 1
         if self.calls == 2:
-            return [SimpleNamespace(masks=None, boxes=SimpleNamespace(conf=torch.zeros(0)))]
+            return [SimpleNamespace(masks=None, boxes=SimpleNamespace(conf=torch.zeros(0), cls=torch.zeros(0)))]
         stack = masks_in(image).float()
         boxes = SimpleNamespace(conf=torch.tensor([0.45, 0.45]), cls=torch.tensor([56.0, 0.0]))
         names = {0: "person", 56: "chair"}
@@ -76,7 +86,7 @@ class Yolo:
 
 
 STAND_INS = {
-    "SAM 2": {
+    "sam2": {
         "sam2.automatic_mask_generator": {"SAM2AutomaticMaskGenerator": Sam2},
         "sam2.build_sam": {"build_sam2": lambda *_, **__: "model"},
     },
@@ -86,7 +96,8 @@ STAND_INS = {
         "detectron2.projects.deeplab": {"add_deeplab_config": id},
         "mask2former": {"add_maskformer2_config": id},
     },
-    "YOLO-seg": {"ultralytics": {"YOLO": Yolo}},
+    "transformers": {"transformers": {"pipeline": pipeline}},
+    "ultralytics": {"ultralytics": {"YOLO": Yolo}},
 }
 
 
@@ -110,15 +121,18 @@ def test_a_recipe_writes_masks_for_the_folder(scene, monkeypatch, name):
                 monkeypatch.setitem(sys.modules, ".".join(parts[:length]), ModuleType(".".join(parts[:length])))
         for key, value in content.items():
             monkeypatch.setattr(sys.modules[full], key, value, raising=False)
-    code = re.search(rf"<!-- {name} -->\n```python\n(.*?)```", DOCUMENT, flags=re.DOTALL)[1]
-    exec(compile(code, name, "exec"), {})
+    if name == "CropFormer":
+        code = re.search(rf"<!-- {name} -->\n```python\n(.*?)```", DOCUMENT, flags=re.DOTALL)[1]
+        exec(compile(code, name, "exec"), {})
+    else:
+        runpy.run_path(str(ROOT / "examples" / "sam_masks.py"))[name](Path("recording"), Path("masks"))
     masked = tj.masks.read_folder("masks", scene)
     first, second = (frame.masks for frame in masked.frames)
     assert len(first) == 2
     assert first.covered().sum() == 6 * 4 + 3 * 4
     assert first.scores.tolist() == pytest.approx([0.55 if name == "CropFormer" else 0.45] * 2)
-    assert len(second) == (0 if name == "YOLO-seg" else 2)
-    assert first.names == (("chair", "person") if name == "YOLO-seg" else ())
+    assert len(second) == (0 if name == "ultralytics" else 2)
+    assert first.names == (("chair", "person") if name == "ultralytics" else ())
 
 
 def test_the_lines_of_the_readme(monkeypatch, tmp_path):

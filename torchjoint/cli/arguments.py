@@ -19,7 +19,7 @@ from torchjoint.runtime.outputs import Output, check_no_input, is_as_written
 
 
 def parameters(
-    stage: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[STAGE]")] = None,
+    stage: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[STAGE]", help_behavior_hint="")] = None,
     superpoints: bool = False,
 ) -> None:
     """Prints the parameters of the method with default, unit, sensible range and effect (Markdown).

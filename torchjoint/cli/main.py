@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Mapping
@@ -24,6 +25,18 @@ from torchjoint.runtime.messages import in_one_line, is_out_of_memory, on_termin
 #: Exit status of a program whose output is not read to its end, and of one that is interrupted, as shells give it: 128
 #: + SIGPIPE, 128 + SIGINT.
 PIPE_CLOSED, STOPPED = 141, 130
+
+PLAIN = (Path, str, int, float)
+#: Values in the help that are not called as their argument.
+VALUES = dict.fromkeys(("voxel_size", "thin", "merge_within", "step", "tile", "buffer"), "METRES")
+VALUES |= dict.fromkeys(("threads", "max_frames", "every", "views", "rate"), "N") | {
+    "memory": "SIZE",
+    "turn": "DEGREES",
+}
+VALUES |= dict.fromkeys(("up", "viewpoint"), "X Y Z") | dict.fromkeys(("static", "rerun"), "FILE")
+VALUES |= {"set": "NAME=VALUE ...", "topics": "ROLE=TOPIC ...", "scenes": "SCENE ...", "time_limit": "SECONDS"}
+VALUES |= {"granularity": "LEVEL", "least_opacity": "OPACITY", "host": "ADDRESS", "text_encoder": "MODULE:FUNCTION"}
+VALUES |= {"memory": "SIZE", "turn": "DEGREES"}
 
 
 class Command(NamedTuple):
@@ -102,24 +115,27 @@ def _call(function: Callable[..., None], program: str, arguments: list[str], exa
 
 
 def _name_values(owner: Any) -> None:
-    """Names the values in the help of a function or dataclass: a path by its argument, as the text does: OUT."""
+    """Names the values in the help of a function or dataclass as the text does: METRES; else by the argument: OUT."""
     import tyro
 
+    if owner.__doc__:  # tyro would keep some ends of its lines
+        owner.__doc__ = re.sub(r"\n {8,}(?=\S)", " ", cleandoc(owner.__doc__))
     defaults = {name: parameter.default for name, parameter in signature(owner).parameters.items()}
     for name, hint in get_type_hints(owner, include_extras=True).items():
         kind, extras = (hint.__origin__, hint.__metadata__) if get_origin(hint) is Annotated else (hint, ())
         if is_dataclass(kind):
             _name_values(kind)
-        parts = [one for one in get_args(kind) or (kind,) if one is not type(None)]
+        is_union = isinstance(kind, UnionType)
+        parts = [one for one in get_args(kind) if one is not type(None)] if is_union else [kind]
         is_named = any(getattr(extra, "metavar", None) for extra in extras)
-        is_left_out = isinstance(kind, UnionType) and defaults.get(name) is None
-        if name == "return" or is_named or len(parts) != 1 or not (is_left_out or kind in (Path, bool)):
+        is_left_out, is_tuple = is_union and defaults.get(name) is None, get_origin(parts[0]) is tuple
+        if name == "return" or is_named or len(parts) != 1 or not (is_tuple or parts[0] in (bool, *PLAIN)):
             continue
-        words = [one.__name__.upper() for one in get_args(parts[0]) or parts if isinstance(one, type)]
-        value = None if kind is bool else name.upper() if parts == [Path] else " ".join(words) or None
-        hide = None if kind is Path else ""  # neither "(default: None)" nor "(default: False)"
+        value = None if kind is bool else VALUES.get(name, name.upper())
+        # Neither "(default: None)" nor "(default: False)" nor "(default: )".
+        hide = "" if kind is bool or is_left_out or is_tuple else None
         # A type or None would be tried as None, too, and a wrong value would be two errors.
-        made: Any = parts[0] if is_left_out and parts[0] in (Path, str, int, float) else None
+        made: Any = parts[0] if is_left_out and parts[0] in PLAIN else None
         more = tyro.conf.arg(metavar=value, help_behavior_hint=hide, constructor=made)
         owner.__annotations__[name] = Annotated[hint, more]
 
@@ -134,20 +150,23 @@ def _tell(program: str, error: Exception) -> NoReturn:
 
 
 COMMANDS = {
-    "demo": Command("segments a rendered room, and scores it; needs no data"),
+    "demo": Command("segments a rendered room, and scores it; needs no data", "--show"),
     "segment": Command("segments a recording: posed frames, with or without a cloud", "my_recording -o result"),
     "batch": Command("segments any number of recordings over many workers", "scans/* -o results"),
     "live": Command("plays a recording with depth, and segments what was seen so far", "my_recording --show"),
     "superpoints": Command("cuts a cloud of any size into superpoints", "cloud.laz -o superpoints.laz"),
     "show": Command("shows a result in the browser", "result"),
     "export": Command("writes a result in the format of another tool", "result --format coco"),
-    "edits": Command("brings corrections of another program back into a result"),
+    "edits": Command("brings corrections of another program back into a result", "import result boxes.json"),
     "label": Command("puts labels into the file of a cloud, a mesh or Gaussian splats", "result site.laz -o out.laz"),
-    "formats": Command("lists the formats of recordings that can be read", module="arguments"),
-    "parameters": Command("prints the parameters as tables", module="arguments"),
+    "formats": Command("lists the formats of recordings that can be read", "| grep depth", module="arguments"),
+    "parameters": Command("prints the parameters as tables", "paper", module="arguments"),
 }
 
 DESCRIPTION = """\
+Examples: torchjoint demo --show
+          torchjoint segment my_recording -o result && torchjoint show result
+
 Joint segmentation of a point cloud and its images. The default needs no choice. --preset takes default, paper, or a
 YAML file; that of superpoints takes default, scan, segmentator, or a YAML file."""
 

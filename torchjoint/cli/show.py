@@ -13,7 +13,7 @@ from functools import partial
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import torch
 import tyro
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def show(
-    out: tyro.conf.Positional[Path],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")],
     static: Path | None = None,
     granularity: float | None = None,
     up: tuple[float, float, float] | None = None,
@@ -55,7 +55,7 @@ def show(
     Args:
         out: folder that `torchjoint segment` wrote; or a .ply or .npz with labelled points of `torchjoint superpoints`.
         static: write this HTML file, which can be shared, instead of opening the page.
-        granularity: start with another level than OUT has, 0 (coarse) to 1 (fine); not with method paper.
+        granularity: start with another level than RESULT has, 0 (coarse) to 1 (fine); not with method paper.
         up: upward direction x y z in the coordinates of the cloud; default: from the poses and the largest level plane.
         truth: also offer the ground truth of the recording (Colour by: truth).
         host: address of the page; 127.0.0.1: only this machine can open it; 0.0.0.0: any machine can that knows the
@@ -63,7 +63,7 @@ def show(
         port: of the page; if it is in use, the next free one.
         open_browser: the page is opened, unless this is given.
         text_encoder: package.module:function of yours that makes a vector of words, by the network that made the
-            embeddings of OUT; the page then finds things by words.
+            embeddings of RESULT; the page then finds things by words.
         overwrite: replace the file of --static.
     """
     if not is_there(out):

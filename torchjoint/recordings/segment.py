@@ -72,8 +72,8 @@ class RecordingOptions:
         least_opacity: of Gaussian splats (a .ply), 0 to 1: fainter ones are no part of the cloud. `torchjoint label`
             gives them labels.
         format: of `torchjoint formats`, if the one that is detected is not the right one: cloud_alone.
-        up: upward direction x y z in the coordinates of the cloud, for boxes and pictures; None: what the format says,
-            +z of a cloud alone, else from the poses and the floor.
+        up: upward direction x y z in the coordinates of the cloud, for boxes and pictures; None: what the format
+            says, +z of a cloud alone, else from the poses and the floor.
     """
 
     voxel_size: float = 0.02
