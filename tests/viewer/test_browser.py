@@ -763,6 +763,27 @@ def test_the_static_page(browser, out, run, tmp_path):
     page.close()
 
 
+@pytest.mark.parametrize(("width", "height"), [(1400, 700), (390, 844)])
+def test_the_static_page_shows_the_whole_cloud(browser, out, run, tmp_path, width, height):
+    run("show", out, "--static", tmp_path / "page.html")
+    with contextlib.closing(new_page(browser, width, height)) as page:
+        page.goto((tmp_path / "page.html").as_uri())
+        box = page.locator(".js-plotly-plot").bounding_box()
+
+        def seen():  # the first and the last column and row of the cloud, in shares of its part of the page
+            shot = page.screenshot(clip=box)
+            rows, columns = np.nonzero(
+                np.ptp(np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int), axis=2)
+            )
+            return np.array([columns, rows]) / [[box["width"]], [box["height"]]] if len(rows) else np.zeros((2, 1))
+
+        wait(lambda: np.ptp(seen(), axis=1).max() > 0.8)
+        time.sleep(1)
+        assert np.ptp(seen(), axis=1).max() > 0.8
+        assert seen().min() > 0.002
+        assert seen().max() < 0.998
+
+
 def colorful(page, index):
     """[H, W] where a picture of the static page is lit: its colours differ from the faded photo's."""
     code = "([i]) => pictures[i].canvas.getContext('2d').getImageData(0, 0, 160, 120).data.join()"
