@@ -124,7 +124,7 @@ function fit() {
     const ends = [low[left], high[high.length - 1 - left]];
     return { middle: (ends[0] + ends[1]) / 2, away: (ends[1] - ends[0]) / 2 / tangent };
   });
-  const away = 1.06 * Math.max(across.away, down.away, 1e-6);
+  const away = 1.08 * Math.max(across.away, down.away, 1e-6);
   const point = (k, back) => across.middle * axes[0][k] + down.middle * axes[1][k] - back * axes[2][k];
   const [eye, center] = [away, 0].map((back) => ({ x: point(0, back), y: point(1, back), z: point(2, back) }));
   return Plotly.relayout(plot, { "scene.camera.eye": eye, "scene.camera.center": center });

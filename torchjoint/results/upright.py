@@ -25,7 +25,7 @@ FLAT = 8.0
 #: A plane counts if it has at least this share of the points.
 SMALLEST_SHARE = 0.03
 #: Share of the points that may lie beyond each edge of a view, and its distance in that from which the others just fit.
-LEFT_OUT, MARGIN = 0.0005, 1.06
+LEFT_OUT, MARGIN = 0.0005, 1.08
 
 
 @one_thread_per_operation()

@@ -96,14 +96,13 @@ class CloudView:
         self._parts: list[npt.NDArray[np.int64]] = []  # of each block its part of the sample, and the rest
         for block in map(generator.permutation, blocks):
             self._parts += np.split(block, [int(np.ceil(of_sample * len(block)))])
-        radii = block_radii(points, self._parts[::2])  # by the distances of points of a surface; a sample's are random
-        self._sparse, self._whole = radii * (1.3 if of_sample < 1 else 1), radii * of_sample**0.5
+        # Large clouds are surveys, whose points are spread at random, as those of a sample are: larger, against gaps.
+        self._sparse = block_radii(points, self._parts[::2]) * (1.3 if of_sample < 1 else 1)
+        self._whole = self._sparse * of_sample**0.5  # the distances of points of a surface
         self.size = float(np.median(self._whole))
         self._centers = np.array([points[block].mean(0) for block in blocks]).reshape(-1, 3)
-        self._current, self._near = (
-            set[int](),
-            set[int](),
-        )  # parts with these colours; blocks that are shown whole
+        # Parts whose colours are up to date; blocks of which all points are shown.
+        self._current, self._near = set[int](), set[int]()
         self._handles: dict[int, Any] = {}
         self._drawn: npt.NDArray[np.bool_] | None = None  # [N]; None: all points
         self._marks, self._lit = list[Any](), list[Any]()
