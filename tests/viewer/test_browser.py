@@ -257,15 +257,18 @@ def test_the_panel_stands_beside_the_cloud(viewer, page):
     assert camera(viewer).image_width <= left
     u, v, _ = on_screen(viewer, viewer.result.scene.points.numpy())
     shares = np.stack([u / camera(viewer).image_width, v / 900], 1)
-    assert ((shares > 0) & (shares < 1)).all(1).mean() > 0.93  # the whole cloud, as large as the canvas allows
-    assert np.ptp(np.quantile(shares, [0.004, 0.996], axis=0), axis=0).max() > 0.85
-    photo = page.locator("#tj-image").bounding_box()
-    assert photo["y"] + photo["height"] < 900
+    assert ((shares > 0) & (shares < 1)).all(1).mean() > 0.996  # the whole cloud, as large as the canvas allows
+    assert np.ptp(np.quantile(shares, [0.0005, 0.9995], axis=0), axis=0).max() > 0.85
+    assert is_in_view(page.get_by_role("checkbox", name="Cameras"), 900)
+    assert is_in_view(page.get_by_role("slider").nth(1), 450)  # the size of points, in the upper half
     open_table(page)
     table = page.locator("#tj-table").locator("xpath=..").bounding_box()
-    assert table["y"] + table["height"] < 900
+    assert 850 < table["y"] + table["height"] < 900
+    assert page.locator("#tj-table tr").evaluate_all("rows => Math.max(...rows.map((row) => row.offsetHeight))") < 25
+    page.get_by_role("tab", name="Photo").click()
     page.set_viewport_size({"width": 1000, "height": 700})
     wait(lambda: camera(viewer).image_height == 700 and sees_all(viewer))
+    assert is_in_view(page.get_by_role("checkbox", name="Cameras"), 700)
 
     def is_wide():
         button = page.get_by_label("Collapse panel area")
@@ -276,12 +279,18 @@ def test_the_panel_stands_beside_the_cloud(viewer, page):
     wait(is_wide)
 
 
+def is_in_view(element, bottom):
+    box = element.bounding_box()
+    return box["y"] + box["height"] < bottom
+
+
 def test_the_row_of_a_selected_segment_is_in_sight(viewer, page):
     rows, _ = viewer.model.rows("", "points")
     assert len(rows) > 6
     of_last = next(segment for segment in np.unique(viewer.model.table) if viewer.model.key(segment) == rows[-1].key)
     viewer.model.select((int(of_last),))
     viewer._draw_lists()
+    page.set_viewport_size({"width": 1280, "height": 600})
     open_table(page)
     row = page.locator(f"#tj-table tr[data-key='{rows[-1].key}']")
     wait(lambda: "tj-lit" in (row.get_attribute("class") or ""))
@@ -505,6 +514,9 @@ def test_what_is_under_the_mouse_is_lit_and_named(viewer, page):
     label, points = viewer._cloud._lit
     assert label.text.split() == [str(viewer.model.key(segment))]
     assert len(points.points) == viewer.model.row(segment).points
+    own = scene_points(viewer, viewer.model.key(segment)).numpy()
+    away = [np.linalg.norm(one - camera(viewer).position, axis=1) for one in (points.points + points.position, own)]
+    assert (away[0] < away[1]).all()  # in front of the same points in their own colours
     page.mouse.move(1200, 300)  # the panel
     wait(lambda: not viewer._cloud._lit)
 
@@ -515,12 +527,17 @@ def test_the_photo_is_behind_the_points_until_the_view_turns(viewer, page):
     assert viewer._eyes._standing
     assert viewer._cloud._handles[0].point_size < 0.5 * viewer._cloud._whole[0]
     wait(lambda: (pixels(page)[300:700, 100:900].min(2) > 250).mean() < 0.02)  # no white between the points
+    segment = viewer.model.segment_of_key(viewer.model.rows()[0][0].key)
+    viewer._guarded(viewer._select, (segment,))  # the faded others would hide the photo
+    assert sum(len(handle.points) for handle in viewer._cloud._handles.values()) == viewer.model.row(segment).points
     page.mouse.move(500, 500)
     page.mouse.down()
     page.mouse.move(700, 560, steps=5)
     page.mouse.up()
     wait(lambda: not viewer._eyes._standing)
     wait(lambda: viewer._cloud._handles[0].point_size == viewer._cloud._whole[0])
+    everything = len(viewer.result.scene.points)
+    wait(lambda: sum(len(handle.points) for handle in viewer._cloud._handles.values()) == everything)
 
 
 def test_a_phone_in_the_dark(browser, viewer, monkeypatch):
@@ -535,9 +552,13 @@ def test_a_phone_in_the_dark(browser, viewer, monkeypatch):
     )
     page = context.new_page()
     page.set_default_timeout(1000 * PATIENCE)
+    viewer._guarded(viewer._select, (0,))
     page.goto(viewer.url)
     wait(lambda: camera(viewer) is not None)
     wait(lambda: viewer.model.pale < 100)
+    faded = viewer.model.table[viewer.model.parts.of_point] != 0
+    wait(lambda: viewer._cloud._colors[faded].max() < 100)  # what was selected before, too
+    viewer._guarded(viewer._select, ())
     assert "dark" in dropped[0]
     assert page.title().endswith("- torchjoint")
     wait(lambda: not page.get_by_role("button", name="Join").is_visible())  # closed: the cloud has the page
@@ -551,8 +572,12 @@ def test_a_phone_in_the_dark(browser, viewer, monkeypatch):
     nearest = int(np.argmin(np.abs(u - 195) + np.abs(v - 430)))
     page.touchscreen.tap(float(u[nearest]), float(v[nearest]))
     wait(lambda: len(viewer.model.selected) == 1)
+    handle = page.locator('[style*="height: 3.5em"][style*="cursor"]')
+    told = "e => getComputedStyle(e, '::after').content"
+    wait(lambda: f"{viewer.model.row(viewer.model.selected[0]).points} points" in handle.evaluate(told))
     page.touchscreen.tap(100, 820)
     wait(lambda: page.get_by_role("button", name="Join").is_visible())
+    assert handle.evaluate(told) == '"tap: the cloud"'
     context.close()
 
 
@@ -761,6 +786,27 @@ def test_the_static_page(browser, out, run, tmp_path):
     names = page.evaluate("[...document.querySelector('.js-plotly-plot')._fullData[0].text]")
     assert len(set(zip(names, result.at(1.0).points.tolist(), strict=True))) == finest == len(set(names))
     page.close()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1400, 700), (390, 844)])
+def test_the_static_page_shows_the_whole_cloud(browser, out, run, tmp_path, width, height):
+    run("show", out, "--static", tmp_path / "page.html")
+    with contextlib.closing(new_page(browser, width, height)) as page:
+        page.goto((tmp_path / "page.html").as_uri())
+        box = page.locator(".js-plotly-plot").bounding_box()
+
+        def seen():  # the first and the last column and row of the cloud, in shares of its part of the page
+            shot = page.screenshot(clip=box)
+            rows, columns = np.nonzero(
+                np.ptp(np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int), axis=2)
+            )
+            return np.array([columns, rows]) / [[box["width"]], [box["height"]]] if len(rows) else np.zeros((2, 1))
+
+        wait(lambda: np.ptp(seen(), axis=1).max() > 0.8)
+        time.sleep(1)
+        assert np.ptp(seen(), axis=1).max() > 0.8
+        assert seen().min() > 0.002
+        assert seen().max() < 0.998
 
 
 def colorful(page, index):

@@ -2,10 +2,12 @@
 
 import json
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, place_to_split, read_edits, write_edits
@@ -14,6 +16,7 @@ from torchjoint.results.parts import Parts, edited
 from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
 from torchjoint.scene import Hierarchy, Scene, Segmentation
+from torchjoint.viewer import cloud
 from torchjoint.viewer.cloud import blocks_of, pick_point
 from torchjoint.viewer.model import Model, export_selected
 from torchjoint.viewer.painting import painted, point_colors
@@ -538,6 +541,17 @@ def test_blocks_hold_every_point_once():
     blocks = blocks_of(points, 64)
     assert max(map(len, blocks)) <= 64
     assert sorted(np.concatenate(blocks).tolist()) == list(range(1000))
+
+
+def test_points_of_a_thinned_survey_leave_no_gaps(monkeypatch):
+    """Neither those of the sample nor all points, which are spread at random."""
+    monkeypatch.setattr(cloud, "SAMPLE", 2000)
+    points = np.random.default_rng(0).random((20_000, 3)) * [1, 1, 0]
+    view = cloud.CloudView(mock.MagicMock(), points, np.zeros_like(points, dtype=np.uint8))
+    places = np.random.default_rng(1).uniform(0.1, 0.9, (20_000, 3)) * [1, 1, 0]
+    for parts, radii in ((view._parts[::2], view._sparse), (view._parts, view._whole)):
+        away, _ = cKDTree(points[np.concatenate(parts)]).query(places)
+        assert (away > np.median(radii)).mean() < 0.0005
 
 
 def test_a_static_page_is_whole_and_upright(out, run, tmp_path, capsys):

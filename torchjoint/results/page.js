@@ -107,14 +107,32 @@ window.addEventListener("pointerup", (event) => {
   pressed = null;
   if (!moved && under !== null) select(now().ids[pieces[under]]);
 }, true);
-// The cloud takes what the other elements leave, and fits in portrait, too.
-const { eye } = plot._fullLayout.scene.camera;
+// The cloud takes what the other elements leave, and is as large as it allows; all but outliers are inside.
+function fit() {
+  const { aspectratio, xaxis, yaxis, zaxis, _scene: drawn } = plot._fullLayout.scene;
+  const { clientWidth: width, clientHeight: height } = plot;
+  const axes = plot.layout.meta[width < 0.8 * height ? 1 : 0]; // to the right, down, forward
+  const slope = Math.tan((drawn.glplot.fovy ?? Math.PI / 4) / 2);
+  const sides = [[xaxis, "x"], [yaxis, "y"], [zaxis, "z"]].map(([{ range: [from, to] }, name]) => {
+    const scale = aspectratio[name] / (to - from);
+    return Float64Array.from(plot._fullData[0][name], (value) => (value - (from + to) / 2) * scale);
+  });
+  const along = axes.map((axis) => sides[0].map((_, i) => axis[0] * sides[0][i] + axis[1] * sides[1][i] + axis[2] * sides[2][i]));
+  const [across, down] = [(slope * width) / height, slope].map((tangent, k) => { // the edges of the picture pass by
+    const [low, high] = [1, -1].map((side) => along[k].map((value, i) => value + side * tangent * along[2][i]).sort());
+    const left = Math.floor(0.0005 * low.length);
+    const ends = [low[left], high[high.length - 1 - left]];
+    return { middle: (ends[0] + ends[1]) / 2, away: (ends[1] - ends[0]) / 2 / tangent };
+  });
+  const away = 1.08 * Math.max(across.away, down.away, 1e-6);
+  const point = (k, back) => across.middle * axes[0][k] + down.middle * axes[1][k] - back * axes[2][k];
+  const [eye, center] = [away, 0].map((back) => ({ x: point(0, back), y: point(1, back), z: point(2, back) }));
+  return Plotly.relayout(plot, { "scene.camera.eye": eye, "scene.camera.center": center });
+}
 Plotly.Plots.resize(plot).then(() => {
-  const away = Math.max(1, plot.clientHeight / plot.clientWidth);
-  const [x, y, z] = [eye.x, eye.y, eye.z].map((value) => away * value);
   const side = Math.min(plot.clientHeight, plot.clientWidth);
   Plotly.restyle(plot, { "marker.size": Math.max(1.8, (1.2 * side) / Math.sqrt(pieces.length)) }); // no gaps
-  return Plotly.relayout(plot, { "scene.camera.eye": { x, y, z } });
+  return fit();
 });
 paint();
 Promise.all(Array.from(document.querySelectorAll("canvas.picture"), readPicture)).then((read) => {

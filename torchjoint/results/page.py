@@ -105,19 +105,17 @@ def _figure(scene: Scene, keep: Tensor, up: npt.NDArray[np.float64]) -> Any:
     with needed_for("an HTML file of a result", "plotly", "torchjoint[viewer]"):
         import plotly.graph_objects as go
 
-    eye, center, _ = fitted(scene, up, 0.8, 1.5)  # plotly fits the cloud: only the direction counts
     upright = np.concatenate([level_axes(up), up[None]])  # turns `up` to +z, which plotly's camera keeps upright
-    shown = (scene.points[keep].double().numpy() - center) @ upright.T
+    shown = scene.points[keep].double().numpy() @ upright.T
+    shown -= shown.mean(0)
     x, y, z = (shown / max(float(np.abs(shown).max()), 1e-9) * 32767).round().astype(np.int16).T  # small, in any unit
-    view = upright @ (eye - center)
-    eye_at = dict(zip("xyz", (1.6 * view / np.linalg.norm(view)).tolist(), strict=True))
+    views = [(fitted(scene, up, 0.8, aspect).axes @ upright.T).tolist() for aspect in (1.5, 0.5)]  # page.js fits one
     figure = go.Figure()
     figure.add_scatter3d(
         x=x, y=y, z=z, mode="markers", hovertemplate="%{text}<extra></extra>", marker={"size": 1.8, "color": "#ccc"},
     )  # fmt: skip
     figure.update_layout(
-        scene={"aspectmode": "data", "camera": {"eye": eye_at}}
-        | {axis: {"visible": False} for axis in ("xaxis", "yaxis", "zaxis")},
+        meta=views, scene={"aspectmode": "data"} | {axis: {"visible": False} for axis in ("xaxis", "yaxis", "zaxis")},
         margin={"l": 0, "r": 0, "t": 0, "b": 0}, showlegend=False, paper_bgcolor="rgba(0,0,0,0)",
     )  # fmt: skip
     return figure

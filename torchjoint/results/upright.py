@@ -25,7 +25,7 @@ FLAT = 8.0
 #: A plane counts if it has at least this share of the points.
 SMALLEST_SHARE = 0.03
 #: Share of the points that may lie beyond each edge of a view, and its distance in that from which the others just fit.
-LEFT_OUT, MARGIN = 0.0005, 1.06
+LEFT_OUT, MARGIN = 0.0005, 1.08
 
 
 @one_thread_per_operation()
@@ -44,8 +44,8 @@ def up_direction(scene: Scene) -> Tensor:
     if not len(scene.frames):
         return torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     up, angle = _of_poses(scene)
-    normals = _normals(scene.points)
-    found = _largest_plane(normals, up, angle)
+    sample = scene.points[:: -(-len(scene.points) // SAMPLED)]
+    found = _largest_plane(estimate_normals(sample, nearest_neighbors(sample, 12).indices).double(), up, angle)
     return up if found is None else found
 
 
@@ -65,14 +65,11 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     return (up if side > 0 else -up), SEARCH_ANGLE if float(values[1]) > 0.05 else WIDE_SEARCH_ANGLE
 
 
-def _normals(points: Tensor) -> Tensor:
-    """Normals of a sample of the points, [M, 3] float64; their signs are arbitrary."""
-    sample = points[:: -(-len(points) // SAMPLED)]
-    return estimate_normals(sample, nearest_neighbors(sample, 12).indices).double()
-
-
 def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
-    """The most common normal within an angle of `up`; None if too few points share it. Level planes count more."""
+    """The most common of normals, of any sign, within an angle of `up`; None if too few points share it.
+
+    Level planes count more.
+    """
     steep = normals @ up
     normals = torch.where(steep[:, None] < 0, -normals, normals)
     near = normals[steep.abs() > math.cos(math.radians(angle))]

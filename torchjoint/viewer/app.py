@@ -64,7 +64,7 @@ class Viewer:
         self.model = Model(result, self._saved, up_direction(result.scene).numpy())
         self._typed = ""  # the last name that came from a page
         self._lock = threading.RLock()  # viser calls the functions below on several threads
-        self._order, self._can_save, self._has_stopped = "points", True, False
+        self._order, self._can_save, self._has_stopped, self._stands = "points", True, False, False
         self._made = self._saved.steps  # the corrections after the last action
         self._workers: list[threading.Thread] = []
         _at_end(weakref.WeakMethod(self._end_work))
@@ -185,9 +185,7 @@ class Viewer:
         panel.search.on_update(then(self._draw_table))
         panel.find.on_click(then(self._on_find))
         panel.correct.on_click(lambda _: self._guarded(self._change, partial(self._on_correct, panel.correct.value)))
-        panel.by_clicks.on_update(
-            lambda _: setattr(panel.keep, "visible", panel.by_clicks.value and self.folder is not None)
-        )
+        panel.by_clicks.on_update(lambda _: setattr(panel.keep, "visible", panel.by_clicks.value and bool(self.folder)))
         panel.keep.on_click(changes(lambda: self.model.keep()))
         panel.export.on_click(lambda event: self._guarded(self._on_export, panel.export.value, event.client))
         panel.save.on_click(then(self._on_save))
@@ -246,7 +244,9 @@ class Viewer:
             self._draw_table()
         elif kind == "dark":
             client.gui.configure_theme(dark_mode=values[0] == "1", show_logo=False, show_share_button=False)
-            self.model.pale = 40.0 if values[0] == "1" else 235.0
+            before, self.model.pale = self.model.pale, 40.0 if values[0] == "1" else 235.0
+            if self.model.selected and self.model.pale != before:
+                self._draw()
         elif kind == "hover":
             self._on_hover(client, [*map(float, values)])
         elif kind == "row":
@@ -279,13 +279,13 @@ class Viewer:
             segments = self.model.table[self.model.parts.of_point]
             members = np.flatnonzero((segments == segments[point]) & ~np.isin(segments, self.model.selected))
             name = f"{self.model.key(segments[point])} {self.model.names.get(segments[point], '')}"
-            self._cloud.light(client.scene, name, point, members)
+            self._cloud.light(client, name, point, members)
 
     def _on_camera(self, client: Any) -> None:
-        has_left = self._eyes.follow(client, self.result.scene)
+        if self._eyes.follow(client, self.result.scene):
+            self._stands = False
+            self._draw()
         self._cloud.look_from(client.camera.position)
-        if has_left:
-            self._cloud.resize(self._panel.size.value)
 
     def _change(self, change: Callable[[], object]) -> None:
         """Changes the model, and draws what it is now."""
@@ -393,8 +393,9 @@ class Viewer:
         client.send_file_download(*export_selected(self.model, kind), save_immediately=True)
 
     def _stand_at(self, index: int, client: Any) -> None:
-        self._eyes.stand_at(client, viewpoint(self.result.scene.frames[index]), painted(self.model, index, 0.0))
-        self._cloud.resize(0.24 * self._panel.size.value)  # the photo is seen between the points
+        photo, self._stands = painted(self.model, index, 0.0), True
+        self._eyes.stand_at(client, viewpoint(self.result.scene.frames[index]), photo, self.model.pale < 100)
+        self._draw()
         if self._frame_index() != index:
             self._panel.frame.value = index  # which draws the image
 
@@ -403,7 +404,10 @@ class Viewer:
 
     def _draw(self) -> None:
         self._cloud.unlight()
-        self._cloud.recolor(point_colors(self.model))
+        lit = np.isin(self.model.table, self.model.selected)[self.model.parts.of_point]
+        # A photo is seen between the points, and only the selected ones are before it.
+        self._cloud.resize((0.24 if self._stands else 1.0) * self._panel.size.value)
+        self._cloud.recolor(point_colors(self.model), lit if self._stands and self.model.selected else None)
         self._cloud.mark(self.model.clicks)
         self._panel.legend.visible = self.model.mode == "confidence"
         self._panel.name.value = self._selected_name()

@@ -96,15 +96,16 @@ class CloudView:
         self._parts: list[npt.NDArray[np.int64]] = []  # of each block its part of the sample, and the rest
         for block in map(generator.permutation, blocks):
             self._parts += np.split(block, [int(np.ceil(of_sample * len(block)))])
-        self._sparse = block_radii(points, self._parts[::2])
+        # Large clouds are surveys, whose points are spread at random, as those of a sample are: larger, against gaps.
+        self._sparse = block_radii(points, self._parts[::2]) * (1.3 if of_sample < 1 else 1)
         self._whole = self._sparse * of_sample**0.5  # the distances of points of a surface
         self.size = float(np.median(self._whole))
         self._centers = np.array([points[block].mean(0) for block in blocks]).reshape(-1, 3)
-        self._current: set[int] = set()  # parts whose colours are up to date
-        self._near: set[int] = set()  # blocks of which all points are shown
+        # Parts whose colours are up to date; blocks of which all points are shown.
+        self._current, self._near = set[int](), set[int]()
         self._handles: dict[int, Any] = {}
-        self._marks: list[Any] = []
-        self._lit: list[Any] = []
+        self._drawn: npt.NDArray[np.bool_] | None = None  # [N]; None: all points
+        self._marks, self._lit = list[Any](), list[Any]()
         self._draw()
 
     def remove(self) -> None:
@@ -121,12 +122,13 @@ class CloudView:
             for index, (point, belongs) in enumerate(clicks)
         ]
 
-    def light(self, scene: Any, name: str, point: int, members: npt.NDArray[np.int64]) -> None:
-        """Lights a thing up on the page of one client, `scene`, and writes its name at one of its points."""
+    def light(self, client: Any, name: str, point: int, members: npt.NDArray[np.int64]) -> None:
+        """Lights a thing up on the page of one client, and writes its name at one of its points."""
         shown = members[:: -(-len(members) // LIT) or 1]
         colors = (255 - 0.5 * (255.0 - self._colors[shown])).astype(np.uint8)
-        label = scene.add_label("/name", name, position=self._points[point], anchor="bottom-center")
-        self._lit = [label, self._add(scene, "/lit", shown, colors, 1.1 * self._factor * self.size)]
+        at = self._points[shown] + 0.005 * (client.camera.position - self._points[shown])  # before their own colours
+        label = client.scene.add_label("/name", name, position=self._points[point], anchor="bottom-center")
+        self._lit = [label, self._add(client.scene, "/lit", at, colors, 1.1 * self._factor * self.size)]
 
     def unlight(self) -> None:
         """Takes back what :meth:`light` drew."""
@@ -134,9 +136,12 @@ class CloudView:
             handle.remove()
         self._lit = []
 
-    def recolor(self, colors: Bytes) -> None:
-        """Changes the colours; those of hidden blocks change when the blocks are shown."""
-        self._colors, self._current = colors, set()
+    def recolor(self, colors: Bytes, drawn: npt.NDArray[np.bool_] | None = None) -> None:
+        """Changes the colours; those of hidden blocks change when the blocks are shown. `drawn`: [N]; None: all."""
+        for handle in () if drawn is self._drawn else self._handles.values():
+            handle.remove()
+        self._handles = self._handles if drawn is self._drawn else {}
+        self._colors, self._current, self._drawn = colors, set(), drawn
         self._draw()
 
     def resize(self, factor: float) -> None:
@@ -153,12 +158,12 @@ class CloudView:
             self._near = near
             self._draw()
 
-    def _add(self, scene: Any, name: str, part: npt.NDArray[np.int64], colors: Bytes, size: float) -> Any:
-        at = self._points[part] - self._origin
-        return scene.add_point_cloud(name, at, colors, position=self._origin, point_size=size, **LOOKS)
+    def _add(self, scene: Any, name: str, at: Floats, colors: Bytes, size: float) -> Any:
+        return scene.add_point_cloud(name, at - self._origin, colors, position=self._origin, point_size=size, **LOOKS)
 
     def _draw(self) -> None:
         for index, part in enumerate(self._parts):
+            part = part if self._drawn is None else part[self._drawn[part]]
             block, handle = index // 2, self._handles.get(index)
             visible = index % 2 == 0 or block in self._near
             size = self._factor * float((self._whole if block in self._near else self._sparse)[block])
@@ -168,7 +173,7 @@ class CloudView:
                 continue
             if handle is None:
                 name = f"/cloud/{index}"
-                self._handles[index] = self._add(self._server.scene, name, part, self._colors[part], size)
+                self._handles[index] = self._add(self._server.scene, name, self._points[part], self._colors[part], size)
             else:
                 handle.colors = self._colors[part]
             self._current.add(index)

@@ -16,8 +16,8 @@ from torchjoint.viewer.measures import Row
 from torchjoint.viewer.model import Bytes
 
 PREFIX = "torchjoint:"
-NOTHING = "Click or tap a segment in the cloud or in the photo; with shift: several."
-LEGEND = '<div class="tj" style="display:flex;gap:6px">no object 0 %<span class="tj-scale"></span>100 % an object</div>'
+NOTHING = "Click or tap a segment; with shift: several."
+LEGEND = '<div class="tj tj-legend">0 %<span class="tj-scale"></span>100 % sure to be one whole thing</div>'
 COLUMNS = ("id", "name", "points", "size", "frames", "sure")
 
 
@@ -47,14 +47,14 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
     lines = []
     for row, color in zip(rows, colors, strict=True):
         lit = ' class="tj-lit"' if row.key in selected else ""
-        chip = f'<span class="tj-chip" style="background:rgb({",".join(map(str, color))})"></span>'
+        chip = f'<span class="tj-chip" style="--hue:rgb({",".join(map(str, color))});--sure:{row.sure}"></span>'
         told = {"id": f"{chip}{row.key}", "name": escape(row.name), "points": row.points, "size": _size(row)}
         told |= {"frames": row.frames, "sure": _percent(row.sure)}
         lines.append(f'<tr data-key="{row.key}"{lit}>{"".join(f"<td>{told[name]}</td>" for name in columns)}</tr>')
     note = f"{len(rows)} of {count} segments; search finds the others" if len(rows) < count else f"{count} segments"
     return (
         f'<div class="tj">{note}; sizes in metres</div>'
-        '<div style="max-height:260px;overflow-y:auto;padding:0 5px">'
+        '<div class="tj-list">'
         f'<table id="tj-table"><thead><tr>{heads}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
     )
 
@@ -90,7 +90,7 @@ def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     for row in rows:
         name = f" <b>{escape(row.name)}</b>" if row.name else ""
         seen = "" if row.frames is None or len(rows) == 1 else f", seen in {row.frames} frames"
-        sure = "" if row.sure is None else f", an object: {_percent(row.sure)}"
+        sure = "" if row.sure is None else f", one whole thing: {_percent(row.sure)}"
         parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {_size(row)} m{seen}{sure}</div>")
     if len(rows) == 1 and frames:
         listed = ", ".join(f"{escape(printable(name))} ({pixels} px)" for name, pixels in frames)

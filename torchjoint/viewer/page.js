@@ -16,11 +16,18 @@
   const wanted = Number(matches("(prefers-color-scheme: dark)"));
   const isDark = () => document.documentElement.dataset.mantineColorScheme === "dark";
   once(() => field() && (send("dark", wanted), !wanted || isDark()), () => {});
+  if (!wanted) setTimeout(() => field() && send("dark", wanted), 3000); // an earlier page may have been dark
   if (window.torchjoint) return; // the panel was built anew
   window.torchjoint = true;
 
   const sheet = () => document.querySelector('[style*="height: 3.5em"][style*="cursor"]'); // viser's panel on a phone
-  if (matches("(max-width: 36em)")) once(sheet, () => sheet().click()); // closed at first: the cloud comes first
+  if (matches("(max-width: 36em)")) {
+    once(sheet, () => sheet().click()); // closed at first: the cloud comes first
+    setInterval(() => { // what was tapped is told there, too
+      const told = document.querySelector("#tj-panel > div")?.textContent.replace("segment ", "") ?? "tap: controls";
+      if (sheet() && sheet().dataset.told !== told) sheet().dataset.told = told;
+    }, 200);
+  }
 
   document.addEventListener("click", (event) => {
     const more = event.shiftKey ? 1 : 0;

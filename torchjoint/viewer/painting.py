@@ -10,7 +10,7 @@ import torch
 
 from torchjoint.results.edits import Table
 from torchjoint.results.figures import borders
-from torchjoint.results.relations import Kind, Relation, relations
+from torchjoint.results.relations import Relation, relations
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.scene import Scene, Segmentation
@@ -90,12 +90,7 @@ def _confidence_colors(model: Model) -> torch.Tensor:
     return torch.from_numpy(colormaps["viridis"](sure.of_superpoint.numpy())[:, :3])
 
 
-COLORS: dict[Kind, tuple[int, int, int]] = {
-    "stands on": (20, 140, 50),
-    "hangs on": (230, 130, 0),
-    "contains": (40, 90, 230),
-    "touches": (120, 120, 120),
-}
+COLORS = {"stands on": (20, 140, 50), "hangs on": (230, 130, 0), "contains": (40, 90, 230), "touches": (120, 120, 120)}
 #: Pixels.
 THICKNESS = 4.0
 

@@ -14,8 +14,10 @@ RESET, CLEAR = "Reset view", "Clear selection"
 CLICKS = "click: this belongs to it, too; with shift: this does not; Undo takes the last click back"
 CORRECT = "join the selected segments; split the selected one in two; undo joins, splits and names"
 EXPORT = "download the points, the masks (ZIP), or the masks as JSON of the selected segments"
+LEVEL = "0: coarse, 1: fine; only Save the level keeps it for the next time"
 RELATIONS = "what stands on (green), hangs on (orange), contains (blue), touches (grey) the selected"
-SAVE = "in edits.json; corrections are saved there as they are made"
+SAVE = "the granularity, in edits.json; corrections are saved there as they are made"
+SHARE = {"min": 0.0, "max": 1.0}
 FRONT = "hides walls that are in the way"
 
 
@@ -44,14 +46,11 @@ class Panel:
         if model.result.hierarchy is not None:
             stored = None if shown.folder is None else read_granularity(shown.folder)
             at = next(level for level in (model.edits.granularity, stored, 0.5) if level is not None)
-            self.level = gui.add_slider(
-                "Granularity", min=0.0, max=1.0, step=0.01, initial_value=at, hint="0: coarse, 1: fine"
-            )
+            self.level = gui.add_slider("Granularity", **SHARE, step=0.01, initial_value=at, hint=LEVEL)
         with gui.add_folder("Selection"):
             self.selection = gui.add_html(panel_html((), ()))
             self.several = gui.add_checkbox("Select several", False, hint="each click adds one, as with shift")
-            has_levels = model.result.hierarchy is not None
-            self.by_clicks = gui.add_checkbox("Thing from clicks", False, visible=has_levels, hint=CLICKS)
+            self.by_clicks = gui.add_checkbox("Thing from clicks", False, visible=self.level is not None, hint=CLICKS)
             self.keep = gui.add_button("Make it one thing", visible=False, hint="a segment of its own, at every level")
             kinds = ("PLY", "PNG", "COCO") if len(model.result.scene.frames) else ("PLY",)
             self._add_buttons(gui, shown.folder is not None, not shown.is_running, kinds)
@@ -60,7 +59,7 @@ class Panel:
         pane.dock_below(gui.main_panel)
         if len(model.result.scene.frames):
             with pane.add_tab("Photo"):
-                self._add_image(gui, len(model.result.scene.frames), frame, cameras)
+                self._add_image(gui, len(model.result.scene.frames) - 1, frame, cameras)
         with pane.add_tab("Segments"):
             can_find = shown.text_encoder is not None and model.result.saved_embeddings is not None
             self.words = gui.add_text("Words", "", hint="of a thing, such as: a red chair", visible=can_find)
@@ -69,21 +68,18 @@ class Panel:
             self.search = gui.add_text("Search", "", hint="a part of a name, or an id")
             self.table = gui.add_html("")
         self.size = gui.add_slider("Point size", min=0.2, max=4.0, step=0.1, initial_value=1.0)
-        self.front = gui.add_slider("Cut the front", min=0.0, max=1.0, step=0.02, initial_value=0.0, hint=FRONT)
+        self.front = gui.add_slider("Cut the front", **SHARE, step=0.02, initial_value=0.0, hint=FRONT)
         self.parameters: dict[str, Any] = {}
         if shown.run is not None:
             with gui.add_folder("Parameters"):
                 self.parameters = {name: gui.add_number(name, value) for name, value in shown.run.parameters.items()}
                 self.compute = gui.add_button("Compute again")
 
-    def _add_image(self, gui: Any, count: int, frame: int, cameras: bool) -> None:
+    def _add_image(self, gui: Any, last: int, frame: int, cameras: bool) -> None:
         self.image = gui.add_html("")
-        self.frame = gui.add_slider(
-            "Frame", min=0, max=max(count - 1, 1), step=1, initial_value=frame, visible=count > 1
-        )
-        self.opacity = gui.add_slider(
-            "Labels", min=0.0, max=1.0, step=0.05, initial_value=0.5, hint="0: the image alone, 1: the labels alone"
-        )
+        self.frame = gui.add_slider("Frame", min=0, max=max(last, 1), step=1, initial_value=frame, visible=last > 0)
+        hint = "0: the image alone, 1: the labels alone"
+        self.opacity = gui.add_slider("Labels", **SHARE, step=0.05, initial_value=0.5, hint=hint)
         self.stand = gui.add_button("Stand at this camera", color="gray")
         self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
 

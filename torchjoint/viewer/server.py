@@ -52,11 +52,11 @@ def ray_of(camera: Any, column: float, row: float) -> tuple[npt.NDArray[np.float
     return np.asarray(camera.position), rotation.apply([*slope, 1.0])
 
 
-def behind(photo: Bytes, aspect: float) -> Bytes:
-    """A photo in the midst of a white canvas of another aspect: what fills the page behind the cloud."""
+def behind(photo: Bytes, aspect: float, is_dark: bool) -> Bytes:
+    """A photo in the midst of an empty canvas of another aspect: what fills the page behind the cloud."""
     height, width = photo.shape[:2]
     size = max(width, round(height * aspect)), max(height, round(width / aspect))
-    return np.asarray(ImageOps.pad(Image.fromarray(photo), size, color="white"))
+    return np.asarray(ImageOps.pad(Image.fromarray(photo), size, color="#141414" if is_dark else "white"))
 
 
 class Cameras:
@@ -122,13 +122,13 @@ class Eyes:
             client.camera.up_direction, client.camera.fov = self._up, fov
             client.camera.position, client.camera.look_at = position, target
 
-    def stand_at(self, client: Any, view: Viewpoint, photo: Bytes) -> None:
-        """Lets a page look from a viewpoint, with the photo behind the cloud."""
+    def stand_at(self, client: Any, view: Viewpoint, photo: Bytes, is_dark: bool) -> None:
+        """Lets a page, which may be dark, look from a viewpoint, with the photo behind the cloud."""
         aspect = client.camera.aspect
         fov = 2 * np.arctan(np.tan(view.fov / 2) * max(1, view.aspect / aspect))  # the whole photo fits
         with client.atomic():
             client.camera.wxyz, client.camera.position, client.camera.fov = view.wxyz, view.position, fov
-        client.scene.set_background_image(behind(photo, aspect))
+        client.scene.set_background_image(behind(photo, aspect, is_dark))
         self._standing[client.client_id] = view.wxyz
         self._arrived.discard(client.client_id)
 
