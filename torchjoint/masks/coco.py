@@ -77,7 +77,7 @@ def _tell_other_sizes(annotations: Sequence[Mapping[str, Any]], images: Sequence
         polygons = [(corners, sizes[one["image_id"]]) for one in annotations for corners in one["segmentation"]]
         reach = [max(max(xy[::2]) / width, max(xy[1::2]) / height) for xy, (width, height) in polygons]
         beyond = sum(share > 1.02 for share in reach)
-        if beyond > 0.1 * len(reach):
+        if len(reach) >= 5 and beyond > 0.1 * len(reach):
             told = f"{beyond} of {len(reach)} polygons reach beyond their images: of other sizes, or y before x?"
         elif len(reach) >= 5 and max(reach) <= (0.25 if len(reach) < 20 else 0.5):
             told = "all polygons lie in one corner of the images: were they drawn in smaller ones?"

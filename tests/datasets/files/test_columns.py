@@ -113,7 +113,7 @@ def test_each_file_of_a_folder_has_its_own_scale(tmp_path):
     for name, factor in (("a", 1), ("b", 257), ("c", 0)):
         las = laspy.create(point_format=2, file_version="1.2")
         las.header.scales = [1e-3] * 3
-        las.x, las.y, las.z = XYZ.astype(float).T
+        las.x, las.y, las.z = (XYZ.astype(float) + factor).T  # each file is another part of a cloud
         las.red, las.green, las.blue = (BYTES.astype(np.uint16) * factor).T
         las.write(tmp_path / f"{name}.las")
         colors = read_cloud_file(tmp_path / f"{name}.las").colors
