@@ -29,10 +29,7 @@ PIPE_CLOSED, STOPPED = 141, 130
 PLAIN = (Path, str, int, float)
 #: Values in the help that are not called as their argument.
 VALUES = dict.fromkeys(("voxel_size", "thin", "merge_within", "step", "tile", "buffer"), "METRES")
-VALUES |= dict.fromkeys(("threads", "max_frames", "every", "views", "rate"), "N") | {
-    "memory": "SIZE",
-    "turn": "DEGREES",
-}
+VALUES |= dict.fromkeys(("threads", "max_frames", "every", "views", "rate"), "N")
 VALUES |= dict.fromkeys(("up", "viewpoint"), "X Y Z") | dict.fromkeys(("static", "rerun"), "FILE")
 VALUES |= {"set": "NAME=VALUE ...", "topics": "ROLE=TOPIC ...", "scenes": "SCENE ...", "time_limit": "SECONDS"}
 VALUES |= {"granularity": "LEVEL", "least_opacity": "OPACITY", "host": "ADDRESS", "text_encoder": "MODULE:FUNCTION"}
