@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from torch import Tensor
 from torchjoint.cli.arguments import OptionalOut, output_file
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.ply import read_records, write_bytes, write_cloud
 from torchjoint.oversegmentation import superpoints as segment
@@ -70,23 +72,15 @@ def superpoints(
         engine: where tiles are segmented: loky (this machine, the default; loky:2: two workers), dask, dask://HOST:PORT,
             ray, ray://HOST:PORT. The workers must be able to access the folder of OUT.
     """
+    config = SuperpointsConfig.from_preset(preset).set(set)
     if is_las(cloud) and (out is None or cloud.is_dir() or out.suffix.lower() in SUFFIXES):
         if viewpoint is not None or columns is not None:
             raise ValueError(
                 f"{cloud}: expected no --viewpoint or --columns for .las and .laz in tiles; or write a .ply"
             )
         out = out or Path(f"{cloud.stem}-superpoints{'' if cloud.is_dir() else '.laz'}")
-        config = SuperpointsConfig.from_preset(preset).set(set)
-        cut = superpoints_of_files(
-            cloud,
-            out,
-            tile=tile,
-            buffer=buffer,
-            preset=config,
-            engine=engine or "loky",
-            overwrite=overwrite,
-            progress=sys.stderr.isatty(),
-        )
+        in_tiles = partial(superpoints_of_files, engine=engine or "loky", progress=sys.stderr.isatty())
+        cut = in_tiles(cloud, out, tile=tile, buffer=buffer, preset=config, overwrite=overwrite)
         tiles = "1 tile" if cut.num_tiles == 1 else f"{cut.num_tiles} tiles"
         say(f"{cut.num_points} points in {cut.num_superpoints} superpoints, {tiles}: {out}")
         return
@@ -101,7 +95,6 @@ def superpoints(
         raise ValueError(f"-o: expected a file that ends in .ply, .npy or .npz, got {out}")
     made = output_file(out, overwrite, (cloud,))
     pictured = output_file(png, overwrite, (cloud,)) if picture else None
-    config = SuperpointsConfig.from_preset(preset).set(set)
     row = int(columns) if columns and columns.isdecimal() else columns
     read = read_cloud_file(cloud, row, "keep")
     records = read_records(cloud) if cloud.suffix.lower() == out.suffix == ".ply" else None
@@ -109,18 +102,7 @@ def superpoints(
         with damage_is(str(cloud)):
             records.check_new(NAME)
     kept_points(read.points, str(cloud), "keep" if drop_invalid else "refuse")  # an error names the file
-    mesh = read.faces if config.weight == "segmentator" else None
-    if mesh is None and read.faces is not None:
-        say("neighbours of vertices are the nearest ones; with --preset segmentator those of the triangles")
-    of_rows = segment(
-        read.points,
-        read.colors,
-        read.normals if mesh is None else None,
-        faces=mesh,
-        viewpoint=None if viewpoint is None else torch.tensor(viewpoint, dtype=torch.float64),
-        drop_invalid=drop_invalid,
-        preset=config,
-    )
+    of_rows = _segmented(read, viewpoint, drop_invalid, config)
     kept, labels = read.chosen(of_rows >= 0), of_rows[of_rows >= 0]
     scene = Scene(kept.points, colors=kept.colors, normals=kept.normals)
     with made.written() as path:
@@ -133,6 +115,19 @@ def superpoints(
         with pictured.written() as path:
             cloud_figure(scene, labels).savefig(path, dpi=100)
         say(png)
+
+
+def _segmented(
+    read: CloudFile, viewpoint: tuple[float, float, float] | None, drop_invalid: bool, config: SuperpointsConfig
+) -> Tensor:
+    """The superpoint of each row of a file, -1 of those that were dropped; from a mesh, if its triangles are used."""
+    mesh = read.faces if config.weight == "segmentator" else None
+    if mesh is None and read.faces is not None:
+        say("neighbours of vertices are the nearest ones; with --preset segmentator those of the triangles")
+    sensor = None if viewpoint is None else torch.tensor(viewpoint, dtype=torch.float64)
+    normals = read.normals if mesh is None else None
+    of = partial(segment, faces=mesh, viewpoint=sensor, drop_invalid=drop_invalid, preset=config)
+    return of(read.points, read.colors, normals)
 
 
 def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor, faces: Tensor | None) -> None:
