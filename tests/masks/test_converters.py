@@ -117,7 +117,7 @@ class TestSam:
         [
             ({"area": 5}, r"records\[1\]'s area: expected the mask's 4 pixels, got 5"),
             ({"area": float("nan")}, r"records\[1\]'s area: expected the mask's 4 pixels, got nan"),
-            ({"bbox": [9, 9, 2, 2]}, r"records\[1\]'s segmentation: expected a mask in its bbox \[9, 9, 2, 2\]"),
+            ({"bbox": [9, 9, 2, 2]}, r"records\[1\]'s segmentation: expected a mask in its bbox, x y \[9.0, 9.0\]"),
             ({"predicted_iou": float("nan")}, r"records\[1\]'s predicted_iou: expected a finite number, got nan"),
             ({"stability_score": "high"}, r"records\[1\]'s stability_score: expected a number, got 'high'"),
             ({"segmentation": STACK[1, :2].numpy()}, r"records\[1\]: expected the size \[3, 4\], got \[2, 4\]"),

@@ -74,7 +74,7 @@ def test_names_in_an_archive_of_ones_own(tmp_path):
         assert tj.masks.read_masks(tmp_path / f"{name}.npz").names == ("cup", "book")
     unsigned = np.where(stack[0], 5, np.where(stack[1], 9, 0)).astype(np.uint8)  # -1 is no number of theirs
     np.savez(tmp_path / "zero.npz", masks=unsigned, score=[0.5, 1.0])
-    with pytest.warns(UserWarning, match=r"zero\.npz: expected masks, scores and names; not read: score"):
+    with pytest.warns(UserWarning, match=r"masks in \.npz: expected masks, scores and names; not read: score"):
         assert tj.masks.read_masks(tmp_path / "zero.npz").covered().sum() == 2
     assert len(tj.masks.from_labels(torch.from_numpy(unsigned))) == 2
     np.savez(tmp_path / "few.npz", masks=stack, names=["cup"])
@@ -150,10 +150,13 @@ def test_annotations_that_contradict_themselves(tmp_path):
         path.write_text(json.dumps({"images": [image], "annotations": annotations}))
         return tj.masks.read_folder(path, scene_of("a")).frames[0].masks
 
-    assert len(read(record, record | {"id": 4, "bbox": []})) == 2
-    with pytest.raises(ValueError, match=r"a\.json: .*: annotation 3 is there twice"):
+    assert len(read(record, record | {"id": 4, "bbox": []}, record | {"id": None}, record | {"id": None})) == 4
+    assert len(read(*(record | {"id": 4 + i, "bbox": box} for i, box in enumerate((5, [0.1, 0.2, 0.5, 0.5]))))) == 2
+    with pytest.raises(ValueError, match=r"a\.json: annotation \(image, id\) \(1, 3\) is there twice"):
         read(record, record)
-    told = r"annotations\[0\]'s segmentation: expected a mask in its bbox \[3, 0, 2, 2\]"
+    told = (
+        r"annotations\[0\]'s segmentation: expected a mask in its bbox, x y \[3\.0, 0\.0\], width height \[2\.0, 2\.0\]"
+    )
     with pytest.raises(ValueError, match=told):
         read(record | {"bbox": [3, 0, 2, 2], "segmentation": [[0, 0, 1, 0, 1, 6, 0, 6]]})
 

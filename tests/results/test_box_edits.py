@@ -414,12 +414,13 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up)
         record["objects"][largest],
         min(record["objects"], key=lambda box: np.prod([*box["dimensions"].values()])),
     )
-    record["objects"] = [one]
+    record["objects"] = [one, one | {"name": "none"}]
     one["dimensions"] = dict.fromkeys(one["dimensions"], 1e-3)
-    (tmp_path / "one.json").write_text(json.dumps(record))
-    with pytest.raises(SystemExit, match=r"one\.json: expected labels or boxes of .*, got 1 of 1 boxes of no thing"):
-        run("edits", "import", out, tmp_path / "one.json")
-    record["objects"].append(other)
+    record["objects"][1]["dimensions"] = one["dimensions"]
+    (tmp_path / "none.json").write_text(json.dumps(record))
+    with pytest.raises(SystemExit, match=r"none\.json: is it of another result than .*\? 2 of 2 boxes are those of no"):
+        run("edits", "import", out, tmp_path / "none.json")
+    record["objects"][1] = other
     (tmp_path / "two.json").write_text(json.dumps(record))
     run("edits", "import", out, tmp_path / "two.json")
     assert f"{len(after.points.unique()) - 1} things whose box was deleted lie in no" in capsys.readouterr().out

@@ -134,7 +134,9 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     label["point_annotations"] = torch.randint(1, 9, (len(ids),), generator=torch.Generator().manual_seed(0)).tolist()
     label["annotations"] = []
     file.write_text(json.dumps(label))
-    with pytest.raises(SystemExit, match=r"points\.json: expected labels or boxes of .*, got other labels than those"):
+    with pytest.raises(
+        SystemExit, match=r"points\.json: is it of another result than .*\? \d+ points have another label"
+    ):
         run("edits", "import", out, file)
     assert (out / "edits.json").read_bytes() == corrections
 

@@ -244,7 +244,7 @@ class TestCrops:
 
     def test_points_or_frames_in_another_order(self, result):
         scene = result.scene
-        with pytest.raises(ValueError, match="expected the points that were segmented, in their order, got others"):
+        with pytest.raises(ValueError, match="points that were segmented, in their order and dtype, got others"):
             tj.Result.of(result, scene.select_points(torch.arange(6000).roll(1)))
         with pytest.raises(ValueError, match=r"expected frame 'frame-000000', got 'frame-000005'; of another order"):
             tj.Result.of(result, scene.select_frames(range(5, -1, -1)))

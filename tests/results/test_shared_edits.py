@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
@@ -66,21 +65,6 @@ def test_the_later_one_keeps_what_the_earlier_one_saved(out):
     assert opened(out)[1] == saved
     assert save_edits(out, replace(saved, steps=saved.steps[:-1]), saved, parts).steps == (A,)
     assert sorted(path.name for path in out.iterdir() if "edits" in path.name) == [FILE]
-
-
-def test_segments_json_has_the_names(out):
-    """The table and COCO had them; corrected segments keep the ids that they have there."""
-    parts, before = opened(out)
-    assert segment_names(out) == [None] * 5
-    saved = save_edits(out, replace(before, steps=(A, Edit("join", (1, 2)), Edit("name", (2,), "b"))), before, parts)
-    assert segment_names(out) == ["a", "b", None, None, None]
-    assert tj.load_result(out).segment_names == {0: "a", 1: "b"}
-    save_edits(out, replace(saved, steps=()), saved, parts)
-    assert segment_names(out) == [None] * 5
-
-
-def segment_names(folder: Path) -> list[str | None]:
-    return [one["name"] for one in json.loads((folder / "segments.json").read_text())["segments"]]
 
 
 def test_a_file_that_was_moved_away_has_undone_nothing(out):

@@ -128,7 +128,7 @@ def test_a_file_that_is_there_twice_is_told(cloud, tmp_path):
 
 
 def test_a_buffer_of_few_points_is_told(cloud, tmp_path):
-    with pytest.warns(UserWarning, match=r"buffer: 0\.1 m is little; below 0\.\d+ m the edges of tiles show"):
+    with pytest.warns(UserWarning, match=r"a buffer of 0\.1 m is little; below 0\.\d+ m .*: give a larger buffer"):
         superpoints_of_files(cloud, tmp_path / "out.laz", tile=4, buffer=0.1, engine="loky:1")
 
 

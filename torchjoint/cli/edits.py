@@ -47,15 +47,15 @@ def edits(
     stored = load_result(result, edits=False)
     parts = Parts(stored)
     before = read_edits(result, parts.count)
-    told = f"{file}: expected labels or boxes of {result}"
+    told = f"{file}: is it of another result than {result}?"
     labels, corrected = read_point_labels(file, len(stored.points)), edited(stored, before)
     if (names := read_names(file, corrected)) is not None:
         steps = edits_of_names(corrected, names, parts.of_point)
         say(f"{len(steps)} names changed")
     elif labels is not None:
         steps, others = edits_of_points(parts, before, labels)
-        if 2 * others > len(stored.points):
-            raise ValueError(f"{told}, got other labels than those around them for {others} points")
+        if stored.hierarchy is not None and 2 * others > len(stored.points):
+            raise ValueError(f"{told} {others} points have another label than most of their superpoint")
         kinds = [step.kind for step in steps]
         say(f"labels of points: {kinds.count('gather')} things gathered, {kinds.count('name')} names changed")
         table = parts.table(before)[parts.of_point]
@@ -66,8 +66,8 @@ def edits(
     else:
         boxes = read_boxes(file)
         steps, joined, named, empty, stayed = edits_of_boxes(corrected, boxes, parts.of_point)
-        if 2 * len(empty) > len(boxes):
-            raise ValueError(f"{told}, got {len(empty)} of {len(boxes)} boxes of no thing")
+        if len(empty) > max(1, len(boxes) / 2):
+            raise ValueError(f"{told} {len(empty)} of {len(boxes)} boxes are those of no thing")
         say(f"{len(boxes)} boxes: {joined} things joined others, {named} names changed")
         if stayed:
             say(f"{stayed} things whose box was deleted lie in no other box, and stay")

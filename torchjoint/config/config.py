@@ -44,8 +44,13 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-#: YAML 1.1 reads 010 as 8 and 1:30 as 90: here a whole number has the value that people read, or is an error.
-_Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.value))
+def _whole_number(_: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
+    """YAML 1.1 reads 010 as 8 and 1:30 as 90: here a number has the value that people read, or is an error."""
+    with damage_is(f"expected a whole number, got {node.value[:60]!r}"):
+        return int(node.value)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _whole_number)
 
 
 def presets(*folder: str) -> dict[str, Any]:

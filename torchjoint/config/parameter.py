@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -91,7 +90,7 @@ def _check_number(name: str, value: Any, kind: type, expected: str, declared: Ma
             raise TypeError(f"{name}: expected {expected}, got {value!r}") from None
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{name}: expected {expected}, got {value!r}")
-    if not math.isfinite(value):
+    if not -1e300 < value < 1e300:  # also of integers that no float can be
         raise ValueError(f"{name}: expected a finite number, got {value}")
     if kind is int and (value != int(value) or abs(value) >= 2**63):
         raise TypeError(f"{name}: expected a whole number{' of 64 bits' * (abs(value) >= 2**63)}, got {value}")

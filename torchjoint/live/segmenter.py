@@ -285,8 +285,8 @@ class LiveSegmenter(nn.Module):
             raise RuntimeError("LiveSegmenter: call update(frame) first")
         with self.stopwatch("surface"), self._lock:
             points, colors = surface_cloud(self._volume, self._origin)
-            keyframes = list(self._keyframes)
-        _check(self._to_compare or [])
+            keyframes, compared = list(self._keyframes), list(self._to_compare or ())
+        _check(compared)
         if not len(points):
             raise ValueError("depth: the frames so far give no surface; expected depth in metres, and right poses")
         graph, method = prepare(Cloud.checked(points, colors), self.config, method=LEARNED)
@@ -318,6 +318,9 @@ class LiveSegmenter(nn.Module):
         Raises:
             RuntimeError: the depth of keyframes was not kept.
             ValueError: another shape, or a matrix that is no pose.
+
+        Warns:
+            PoseWarning: the depth images do not agree at these poses.
         """
         if not self.keep_depth:
             raise RuntimeError("LiveSegmenter: set_poses needs the depth of keyframes; give keep_depth=True")
@@ -329,13 +332,14 @@ class LiveSegmenter(nn.Module):
         poses = [as_pose(pose, f"world_to_camera[{index}]") for index, pose in enumerate(world_to_camera)]
         moved = [one._replace(world_to_camera=pose) for one, pose in zip(self._keyframes, poses, strict=True)]
         assert self._origin is not None
-        _check([*filter(None, map(Keyframe.measured, moved[:COMPARED]))])
+        _check(compared := [*filter(None, map(Keyframe.measured, moved[:COMPARED]))])
         volume, views = Volume(self._volume.voxel_size, MAX_DEPTH, self.memory), Counter[int]()
         with self.stopwatch("fusion"):
             for frame in filter(None, map(Keyframe.measured, moved)):
                 views.update(add_frame(volume, frame, self._origin).tolist())
         with self._lock:
             self._volume, self._keyframes, self._pose, self._views = volume, moved, poses[-1], views
+            self._to_compare = None if self._to_compare is None else compared
 
     @on_cpu()
     def save(self, path: str | Path) -> None:

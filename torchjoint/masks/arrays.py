@@ -76,13 +76,13 @@ def from_stack(stack: Any, scores: Any = None, names: Sequence[str] = ()) -> Mas
 
 
 @on_cpu()
-def from_labels(labels: Any, scores: Any = None, none: int = -1) -> Masks:
+def from_labels(labels: Any, scores: Any = None, none: int | None = None) -> Masks:
     """Masks that do not overlap.
 
     Args:
         labels: [H, W] integers, a mask for each value.
         scores: optional [M] in [0, 1], a score for each mask, in ascending order of the values; default 1.
-        none: the value of pixels without a mask, -1 or 0. It is 0 in labels without a sign.
+        none: the value of pixels without a mask; default: -1, and 0 if the labels have no sign (uint8, ...).
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came.
@@ -92,5 +92,5 @@ def from_labels(labels: Any, scores: Any = None, none: int = -1) -> Masks:
     Masks(2 masks, 2 x 3 pixels, 50% covered)
     """
     found = as_tensor(labels, "labels")
-    none = 0 if "uint" in str(labels.dtype) else none
+    none = none if none is not None else 0 if "uint" in str(labels.dtype) else -1
     return Masks.from_labels(found, as_scores(scores, "scores"), none, "labels")

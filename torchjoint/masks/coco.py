@@ -99,12 +99,13 @@ class CocoFile:
             self._images = {Path(image["file_name"]).stem: image for image in data["images"]}
             self._annotations = dict_of([(image["id"], []) for image in data["images"]], "image")
             annotations = _without_groups(data["annotations"], str(path))
-            no_twice((one["id"] for one in annotations if "id" in one), "annotation")
             for annotation in annotations:
                 self._annotations[annotation["image_id"]].append(annotation)
             named = [(one["id"], str(one["name"])) for one in data.get("categories", []) if "name" in one]
             self._categories = dict_of(named, "category")
             unknown = {one["category_id"] for one in annotations if "category_id" in one} - set(self._categories)
+        known = ((one["image_id"], one["id"]) for one in annotations if one.get("id") is not None)
+        no_twice(known, f"{path}: annotation (image, id)")
         if len(self._images) < len(data["images"]):
             raise ValueError(f"{path}: expected images with different file names, got two of one name")
         if unknown and self._categories:

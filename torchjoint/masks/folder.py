@@ -110,8 +110,8 @@ def _read_npz(path: Path) -> Masks:
         return Masks(tensors[0], tensors[1], tensors[2], ids, names)
     if "masks" not in arrays:
         raise ValueError(f"{path}: expected masks, and optional scores, got {', '.join(arrays) or 'nothing'}")
-    if unread := ", ".join(set(arrays) - {"masks", "scores", "names"}):
-        warnings.warn(f"{path}: expected masks, scores and names; not read: {unread}", stacklevel=2)
+    if unread := ", ".join(sorted(set(arrays) - {"masks", "scores", "names"})):
+        warnings.warn(f"masks in .npz: expected masks, scores and names; not read: {unread}", stacklevel=2)
     masks, scores, names = arrays["masks"], arrays.get("scores"), tuple(map(str, arrays.get("names", ())))
     if masks.ndim != 3:
         return replace(from_labels(masks, scores), names=names)

@@ -55,12 +55,15 @@ def pixels_of(segmentation: Any, size: Size | None, name: str) -> Pixels:
 
 def check_box(record: Mapping[str, Any], size: Size, pixels: npt.NDArray[np.int64], name: str) -> None:
     """Checks that most of a mask lies in the box x, y, width, height that its record gives: else axes are exchanged."""
-    box = record.get("bbox") or ()
-    if len(box) == 4 and all(isinstance(of, (int, float)) for of in box) and min(box[2:]) > 0 and len(pixels):
-        low, side = np.array(box, np.float64).reshape(2, 2)
+    try:
+        low, side = np.asarray(record.get("bbox"), np.float64).reshape(2, 2)
+    except (TypeError, ValueError):  # there is none
+        return
+    if len(pixels) and np.isfinite(low).all() and 1 < side.min() <= side.max() < np.inf:  # else no box of pixels
         place = np.stack([pixels % size[1], pixels // size[1]], 1)
         if (np.abs(place - low - side / 2) < 2 + 0.6 * side).all(1).mean() < 0.5:
-            raise ValueError(f"{name}: expected a mask in its bbox {list(box)}, got most pixels beside it")
+            told = f"x y {low.tolist()}, width height {side.tolist()}"
+            raise ValueError(f"{name}: expected a mask in its bbox, {told}, got most pixels beside it")
 
 
 def _filled(polygons: Sequence[Any], size: Size, name: str) -> npt.NDArray[np.int64]:

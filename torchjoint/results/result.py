@@ -52,7 +52,8 @@ class Result(Segmentation):
         if got[0] != own[0] or (own[1] and got[1] != own[1]):
             raise ValueError(f"scene: expected {own[0]} points and {own[1]} frames, got {got[0]} and {got[1]}")
         if segmentation.cloud_checksum not in (None, zlib.crc32(scene.points.contiguous().numpy().data)):
-            raise ValueError("scene: expected the points that were segmented, in their order, got others")
+            told = "in their order and dtype, got others; replace(segmentation, cloud_checksum=None) if they were moved"
+            raise ValueError(f"scene: expected the points that were segmented, {told}")
         for name, came in zip(segmentation.names, frame_names(scene.frames) if own[1] else (), strict=False):
             if name and came and name != came:
                 raise ValueError(f"scene: expected frame {name!r}, got {came!r}; of another order or scene?")

@@ -16,13 +16,12 @@ import torch
 from scipy.sparse import csr_array
 
 from torchjoint.datasets.files.text import read_record
-from torchjoint.results import objects
 from torchjoint.results.boxes import UNNAMED, Box, boxes_of, upright_points
 from torchjoint.results.edits import FILE, Edit, Edits, Table, read_edits, write_edits
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import damage_is, dict_of, has_file, read_text
+from torchjoint.runtime.foreign_files import damage_is, dict_of, read_text
 from torchjoint.runtime.groups import best_of_groups, each_once
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.outputs import lock
@@ -239,7 +238,7 @@ PATIENCE = 5.0
 
 
 def save_edits(folder: Path, edits: Edits, before: Edits, parts: Parts) -> Edits:
-    """Saves corrections together with those that others have saved meanwhile; segments.json gets their names.
+    """Saves corrections together with those that others have saved meanwhile.
 
     Args:
         folder: the result.
@@ -257,13 +256,12 @@ def save_edits(folder: Path, edits: Edits, before: Edits, parts: Parts) -> Edits
             raise ValueError(f"{folder}: expected the result that was opened, got another; not saved, open it again")
         merged = replace(edits, steps=merged_steps(before.steps, theirs, edits.steps))
         try:
-            names = parts.names_by_id(merged, parts.ids(merged))
+            parts.table(merged)
+            parts.names(merged)
         except ValueError as error:
             expected = "expected corrections that go with those that others have saved meanwhile"
             raise ValueError(f"{folder / FILE}: {expected}: {error}; undo some, and save again") from error
         write_edits(folder, merged)
-        if has_file(folder / objects.FILE):
-            objects.add_to_segments(folder, {}, name=names)
     return merged
 
 

@@ -99,7 +99,8 @@ def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.ND
             lows.append(reader.header.mins)
             highs.append(reader.header.maxs)
             num_points += reader.header.point_count
-    if len({(*low, *high) for low, high in zip(lows, highs, strict=True)}) < len(files):
+    known = [(*low, *high) for low, high in zip(lows, highs, strict=True) if (low < high).all()]
+    if len(set(known)) < len(known):
         warnings.warn(f"{files[0].parent}: two files have the same box; are their points there twice?", stacklevel=4)
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     if not ((np.abs([low, high]) <= LARGEST_COORDINATE).all() and (low <= high).all()):

@@ -210,7 +210,8 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
         width = min(width, 2 * found.side * max(found.counts.shape))  # more is the same
         plan = plan_tiles(found, tile, width, MOST_POINTS)
         if len(plan.tiles) > 1 and width < (least := 5 * found.spacing()):
-            warnings.warn(f"buffer: {width:.3g} m is little; below {least:.3g} m the edges of tiles show", stacklevel=3)
+            told = f"a buffer of {width:.3g} m is little; below {least:.3g} m the edges of tiles show"
+            warnings.warn(f"{told}: give a larger {'tile' if buffer is None else 'buffer'}", stacklevel=3)
         _check_disk(work, found.num_points, found.whites is not None)
         with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=hidden) as bar:
             split_points(files, found, plan, folder, bar.update)

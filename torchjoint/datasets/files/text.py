@@ -187,8 +187,8 @@ def path_inside(folder: Path, name: str, source: str, *, or_inside: Sequence[Pat
     A name with the backslashes of Windows is one with slashes, unless there is a file of that name.
     """
     if not _is_file_name(name):
-        code = sys.getfilesystemencoding()  # of the locale
-        raise ValueError(f"{source}: expected a path of a file, got {name[:99]!r} (LC_ALL: {code})")
+        code = "" if name.isascii() else f" (LC_ALL: {sys.getfilesystemencoding()})"
+        raise ValueError(f"{source}: expected a path of a file, got {name[:99]!r}{code}")
     if "\\" in name and not os.path.exists(os.path.join(folder, name)):
         name = name.replace("\\", "/")
     target = os.path.normpath(os.path.join(os.path.abspath(folder), name))
