@@ -79,11 +79,10 @@ def _tell_other_sizes(annotations: Sequence[Mapping[str, Any]], images: Sequence
         beyond = sum(share > 1.02 for share in reach)
         if len(reach) >= 5 and beyond > 0.1 * len(reach):
             told = f"{beyond} of {len(reach)} polygons reach beyond their images: of other sizes, or y before x?"
+            warnings.warn(f"{name}: {told}", stacklevel=4)
         elif len(reach) >= 5 and max(reach) <= (0.25 if len(reach) < 20 else 0.5):
             told = "all polygons lie in one corner of the images: were they drawn in smaller ones?"
-        else:
-            return
-        warnings.warn(f"{name}: {told}", stacklevel=4)
+            warnings.warn(f"{name}: {told}", stacklevel=4)
 
 
 class CocoFile:

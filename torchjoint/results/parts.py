@@ -98,10 +98,6 @@ class Parts:
                 own[first] = int(self.stored.max()) + 1 + next(following)
         return own[table]
 
-    def names_by_id(self, edits: Edits, ids: Table) -> dict[int, str]:
-        """The names of segments after the edits, by the ids that :meth:`ids` gives."""
-        return {int(ids[first]): name for first, name in self.names(edits).items()}
-
     @cached_property
     def keys(self) -> Table:
         """[P] for each superpoint a number of the segment that begins with it, the same in all tables."""
@@ -118,5 +114,5 @@ def edited(result: Result, edits: Edits) -> Result:
     before = result.num_point_segments  # ids of image segments without points stay, too, unless there are new ones
     images = level_images(result.images, before, segments, max(int(ids.max()) + 1, before), superpoints)
     points = segments[torch.from_numpy(parts.of_point)]
-    shown, names = images if len(result.images) else (), parts.names_by_id(edits, ids)
-    return replace(result, points=points, images=shown, segment_names=names)
+    names = {int(ids[first]): name for first, name in parts.names(edits).items()}
+    return replace(result, points=points, images=images if len(result.images) else (), segment_names=names)
