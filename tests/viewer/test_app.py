@@ -16,6 +16,7 @@ import pytest
 import torch
 
 import torchjoint as tj
+from torchjoint.cli.show import serve_until_interrupted
 from torchjoint.results.edits import Edit, read_edits
 from torchjoint.viewer.shown import Shown
 
@@ -244,6 +245,37 @@ def test_a_page_on_its_way_to_a_photo_is_not_fitted_again(out):
     camera.position, camera.wxyz = there
     viewer._on_camera(page)
     assert viewer._eyes._arrived == {7}
+    viewer.stop()
+
+
+def test_a_page_that_closes_at_a_photo_leaves_no_small_points(out):
+    viewer = opened(out, 8990)
+    camera = SimpleNamespace(aspect=1.5, position=np.ones(3), wxyz=np.array([1.0, 0, 0, 0]), on_update=lambda _: None)
+    scene = SimpleNamespace(set_background_image=lambda _: None)
+    viewer._stand_at(0, page := SimpleNamespace(client_id=7, camera=camera, atomic=nullcontext, scene=scene))
+    assert viewer._cloud._factor < 0.5
+    for closed in viewer.server._client_disconnect_cb:
+        closed(page)
+    assert viewer._cloud._factor == 1
+    viewer.stop()
+
+
+def test_what_is_not_kept_is_told_when_the_page_ends(out, tmp_path, monkeypatch, capsys):
+    folder = shutil.copytree(out, tmp_path / "out")
+    viewer = opened(folder, 8990)
+    monkeypatch.setattr(viewer.server, "sleep_forever", lambda: None)
+    serve_until_interrupted(viewer)
+    assert capsys.readouterr().out == ""
+    viewer.model.set_granularity(0.7)
+    serve_until_interrupted(viewer)
+    assert capsys.readouterr().out == "not kept: level 0.7, which Save the level keeps\n"
+    viewer._guarded(viewer._on_save)
+    serve_until_interrupted(viewer)
+    assert capsys.readouterr().out == ""
+    viewer._can_save = False  # other parameters
+    viewer._guarded(viewer._change, lambda: (viewer.model.select((0,)), viewer.model.name("sofa")))
+    serve_until_interrupted(viewer)
+    assert capsys.readouterr().out == "not kept: corrections after those in edits.json\n"
     viewer.stop()
 
 

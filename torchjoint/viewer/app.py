@@ -64,7 +64,7 @@ class Viewer:
         self.model = Model(result, self._saved, up_direction(result.scene).numpy())
         self._typed = ""  # the last name that came from a page
         self._lock = threading.RLock()  # viser calls the functions below on several threads
-        self._order, self._can_save, self._has_stopped, self._stands = "points", True, False, False
+        self._order, self._can_save, self._has_stopped = "points", True, False
         self._made = self._saved.steps  # the corrections after the last action
         self._workers: list[threading.Thread] = []
         _at_end(weakref.WeakMethod(self._end_work))
@@ -151,6 +151,13 @@ class Viewer:
         with self._lock:
             self._panel.note.content = note_html(note)
 
+    def not_kept(self) -> str:
+        """What the page has and edits.json has not, in words; "": nothing."""
+        now, kept = self.model.edits, self._saved
+        if now.steps != kept.steps:
+            return "corrections after those in edits.json"
+        return f"level {now.granularity}, which Save the level keeps" if now.granularity != kept.granularity else ""
+
     def wait(self) -> None:
         """Serves the page until the program is interrupted."""
         self.server.sleep_forever()
@@ -215,6 +222,8 @@ class Viewer:
         def _(client: Any) -> None:
             client.camera.on_update(lambda _: self._guarded(self._on_camera, client))
             self._guarded(self._on_camera, client)  # the first camera is told before this
+
+        self.server.on_client_disconnect(lambda client: self._guarded(self._on_leave, client))
 
     # Reactions to events
 
@@ -283,9 +292,12 @@ class Viewer:
 
     def _on_camera(self, client: Any) -> None:
         if self._eyes.follow(client, self.result.scene):
-            self._stands = False
             self._draw()
         self._cloud.look_from(client.camera.position)
+
+    def _on_leave(self, client: Any) -> None:
+        if self._eyes.forget(client):
+            self._draw()
 
     def _change(self, change: Callable[[], object]) -> None:
         """Changes the model, and draws what it is now."""
@@ -393,7 +405,7 @@ class Viewer:
         client.send_file_download(*export_selected(self.model, kind), save_immediately=True)
 
     def _stand_at(self, index: int, client: Any) -> None:
-        photo, self._stands = painted(self.model, index, 0.0), True
+        photo = painted(self.model, index, 0.0)
         self._eyes.stand_at(client, viewpoint(self.result.scene.frames[index]), photo, self.model.pale < 100)
         self._draw()
         if self._frame_index() != index:
@@ -406,8 +418,8 @@ class Viewer:
         self._cloud.unlight()
         lit = np.isin(self.model.table, self.model.selected)[self.model.parts.of_point]
         # A photo is seen between the points, and only the selected ones are before it.
-        self._cloud.resize((0.24 if self._stands else 1.0) * self._panel.size.value)
-        self._cloud.recolor(point_colors(self.model), lit if self._stands and self.model.selected else None)
+        self._cloud.resize((0.24 if self._eyes.stand else 1.0) * self._panel.size.value)
+        self._cloud.recolor(point_colors(self.model), lit if self._eyes.stand and self.model.selected else None)
         self._cloud.mark(self.model.clicks)
         self._panel.legend.visible = self.model.mode == "confidence"
         self._panel.name.value = self._selected_name()

@@ -132,6 +132,16 @@ class Eyes:
         self._standing[client.client_id] = view.wxyz
         self._arrived.discard(client.client_id)
 
+    @property
+    def stand(self) -> bool:
+        """Whether a page stands at a camera."""
+        return bool(self._standing)
+
+    def forget(self, client: Any) -> bool:
+        """Forgets a page that was closed; whether it stood at a camera."""
+        self._fitted.pop(client.client_id, None)
+        return self._standing.pop(client.client_id, None) is not None
+
     def follow(self, client: Any, scene: Scene) -> bool:
         """Takes note of where a page looks from now; whether it has left the photo at which it stood."""
         fitted_at, aspect = self._fitted.get(client.client_id, (client.camera.position, 0.0))
