@@ -202,7 +202,6 @@ def test_the_number_of_threads_does_not_matter(tmp_path, set_threads):
     assert all(torch.equal(a, b) for a, b in zip(results[0].curve, results[1].curve, strict=True))
 
 
-@pytest.mark.slow
 def test_real_images(shared):
     records = bsds_images(shared / "data" / "bsds500", "train")[:1]
     # An annotator scored against all: what they share is found, what they do not agree on costs recall.
