@@ -149,9 +149,7 @@ def test_footprints_of_a_tilted_scene_are_told(tmp_path):
     result = tj.Result.of(tj.Segmentation(torch.zeros(9, dtype=torch.int64), ()), tj.Scene(torch.rand(9, 3), up=UP_X))
     with (
         pytest.warns(UserWarning, match="footprints are seen along z, but up in this scene is 90 degrees away from it"),
-        pytest.warns(
-            UserWarning, match=r"a\.geojson: no coordinate system .*: programs will take the metres for degrees"
-        ),
+        pytest.warns(UserWarning, match=r"a\.geojson: no EPSG code .*: programs will take the metres for degrees"),
     ):
         export_geojson(tmp_path / "a.geojson", result)
 
@@ -501,7 +499,7 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
         with pytest.raises(SystemExit, match=rf"names\.csv: (line 2: 'shed': segment )?.*{told}"):
             run("edits", "import", out, table)
     table.write_bytes("id,name,points\n0,Gebäude,1\n".encode("cp1252"))
-    with pytest.raises(SystemExit, match=r"names\.csv: expected a table of segments in UTF-8 as text"):
+    with pytest.raises(SystemExit, match=r"names\.csv: expected a table of segments, saved as CSV in UTF-8, as text"):
         run("edits", "import", out, table)
     table.write_text("id,name\n")
     with pytest.raises(SystemExit, match="expected the columns id, name and points"):

@@ -5,6 +5,7 @@ import json
 import re
 import resource
 import shutil
+import warnings
 from pathlib import Path
 
 import laspy
@@ -20,7 +21,7 @@ from torchjoint.datasets.files.ply import read_ply, read_vertex_property, write_
 from torchjoint.datasets.formats import cloud_alone
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.folder import write_result
-from torchjoint.results.labelled_file import label_file, nearest_labels, part_files
+from torchjoint.results.labelled_file import label_file, nearest_labels, part_files, write_labelled
 
 
 def result_of(points, labels, colors=None):
@@ -348,6 +349,17 @@ class TestSurvey:
     def test_label(self, survey, run, tmp_path, suffix):
         run("label", survey[1], survey[0], "-o", tmp_path / f"out{suffix}", "--name", "thing")
         self.check(survey[0], tmp_path / f"out{suffix}", survey[1], "thing")
+
+    def test_dimensions_that_stay_are_not_told(self, survey, tmp_path):
+        write_labelled(survey[0], tmp_path / "own.laz", {"Deviation": np.ones(len(laspy.read(survey[0])), np.float32)})
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            label_file(tmp_path / "own.laz", tmp_path / "out.laz", tj.load_result(survey[1]))
+        assert laspy.read(tmp_path / "out.laz")["Deviation"].all()
+
+    def test_a_wrong_name_leads_to_the_cloud(self, survey, run, tmp_path):
+        with pytest.raises(SystemExit, match=r"sit\.laz does not exist; the cloud of this result is .*points\.ply"):
+            run("label", survey[1], "sit.laz", "-o", tmp_path / "out.laz")
 
     def test_export(self, survey, run, tmp_path):
         run("export", survey[1], "--format", "las", "-o", tmp_path / "out.laz")

@@ -794,6 +794,8 @@ def test_the_static_page_shows_the_whole_cloud(browser, out, run, tmp_path, widt
     with contextlib.closing(new_page(browser, width, height)) as page:
         page.goto((tmp_path / "page.html").as_uri())
         box = page.locator(".js-plotly-plot").bounding_box()
+        assert page.locator("#level").is_visible() == (tj.load_result(out).hierarchy is not None)
+        assert not page.locator("#clear").is_visible()
 
         def seen():  # the first and the last column and row of the cloud, in shares of its part of the page
             shot = page.screenshot(clip=box)

@@ -13,6 +13,7 @@ from torchjoint.datasets.files import las
 from torchjoint.datasets.files.clouds import SUFFIXES
 from torchjoint.results.folder import load_result, parts_of
 from torchjoint.results.labelled_file import label_file, part_files
+from torchjoint.runtime.foreign_files import is_there
 from torchjoint.runtime.messages import say
 
 
@@ -41,6 +42,9 @@ def label(
         name: of the property of the labels in a .ply, or of the dimension in a .las.
         overwrite: replace OUT; a folder must hold nothing but the .ply files of an earlier run.
     """
+    if not is_there(file):
+        cloud = next(iter(sorted(result.glob("cloud-*mm.ply"))), result / "points.ply")
+        raise FileNotFoundError(f"{file} does not exist; the cloud of this result is {cloud}")
     loaded = at_level(result, load_result(result), granularity)
     kinds = ".ply", ".glb", *las.SUFFIXES
     is_file = out.suffix.lower() in kinds

@@ -103,7 +103,9 @@ def live(
         write_result(partial, things, result.segmentation, config, str(scene), seconds=segmenter.stopwatch.seconds)
         add_to_segments(partial, {"lasting_ids": result.ids.tolist()})
     summarize(result.segmentation, out)
-    if view is not None and view.viewer is not None:
+    if view is None:
+        say(f"torchjoint show {out}: look at it in the browser")
+    elif view.viewer is not None:
         view.finish(out, result)
         serve_until_interrupted(view.viewer)
 

@@ -12,6 +12,7 @@ import tyro
 from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, OptionalOut, Parameters
 from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import live_view, show_result
+from torchjoint.datasets.files import las
 from torchjoint.engine import open_engine
 from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.recordings.segment import Segmented
@@ -60,6 +61,15 @@ def segment(
         segmented = segmented_and_told(scene, out, parameters, reading.options(), **of_masks, **of_run)
     if segmented is not None:
         show_result(out, view, segmented.segmenter, segmented.scene)
+        if view is None and (file := _file_to_label(scene, out)) is not None:
+            say(f"torchjoint label {out} {file} -o labelled{file.suffix}: its labels in that file")
+
+
+def _file_to_label(scene: Path, out: Path) -> Path | None:
+    """The file of the cloud: that which was segmented, if `label` writes files of its kind, or the fused one."""
+    if scene.suffix.lower() in (".ply", *las.SUFFIXES):
+        return scene
+    return next(iter(sorted(out.glob("cloud-*mm.ply"))), None)
 
 
 def segmented_and_told(

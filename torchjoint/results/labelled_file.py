@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import las, meshes
-from torchjoint.datasets.files.columns import CloudFile
+from torchjoint.datasets.files.columns import CloudFile, kept_columns
 from torchjoint.datasets.files.las import las_chunks, las_library, open_las
 from torchjoint.datasets.files.ply import PlyRecords, read_ply, read_records, write_bytes, write_cloud
 from torchjoint.results.render import label_colors
@@ -165,7 +165,8 @@ def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
     sureness = "confidence" if name == "label" else f"{name}_confidence"  # a file may be labelled more than once
     for one in [name] if sure is None else [name, sureness]:
         check_dimension(source, one, "remove it first, or choose a name: `torchjoint label ... --name NAME`")
-    points = las.read_las(source).points
+    with kept_columns():
+        points = las.read_las(source).points
     with damage_is(str(source)):
         nearest = nearest_points(result, points)
     columns = {name: with_none(result.points)[nearest].int().numpy()}
@@ -246,8 +247,7 @@ def _read(source: Path) -> CloudFile:
         )
     if suffix not in (".ply", *meshes.SUFFIXES):
         raise ValueError(f"{source}: expected a file that ends in {', '.join(('.ply', *meshes.SUFFIXES))}")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".*: no position, normal or colour by these names")  # they stay in the file
+    with kept_columns():
         return read_ply(source) if suffix == ".ply" else meshes.read_mesh_file(source)
 
 

@@ -83,7 +83,7 @@ def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
     """
     what = f"points: {len(given.points)}"
     if graph.num_points < THINNED_SHARE * len(given.points):
-        what += f", much denser than their noise, or copies: thinned to {graph.num_points}"
+        what += f", much denser than their noise, or copies: computed with {graph.num_points}"
     what += method.measured(graph)
     if method.name == "learned" and graph.colors is None:
         what += f", {'no colours' if given.colors is None else 'all of one colour'} (those of images are used, if any)"

@@ -26,6 +26,14 @@ def keys(**values):
     [
         (WktCoordinateSystemVlr(f'{UTM},AUTHORITY["EPSG","32632"]]'), 32632),
         (WktCoordinateSystemVlr(f'COMPD_CS["both",{UTM},AUTHORITY["EPSG","25832"]],{HEIGHT}]'), 25832),
+        # As pyproj writes EPSG:5555: only the whole has a code.
+        (
+            WktCoordinateSystemVlr(
+                'COMPOUNDCRS["both",PROJCRS["UTM",LENGTHUNIT["metre",1]],VERTCRS["h"],ID["EPSG",5555]]'
+            ),
+            5555,
+        ),
+        (WktCoordinateSystemVlr(f'COMPD_CS["both",{UTM}],{HEIGHT}]'), None),
         (WktCoordinateSystemVlr('PROJCRS["UTM", CONVERSION["x",ID["EPSG",16032]], ID["EPSG", 32633]]\n'), 32633),
         (WktCoordinateSystemVlr('GEOGCS["WGS 84",AUTHORITY["EPSG","4326"]]'), 4326),
         (WktCoordinateSystemVlr(f"{UTM}]"), None),  # of its own; its parts have codes

@@ -116,6 +116,14 @@ def test_a_steady_slope_is_one_segment(slope):
     assert segment_scan(points).unique().tolist() == [0]
 
 
+def test_a_cloud_far_from_the_sensor_is_told():
+    points, _ = scan(reach=30)
+    with pytest.warns(
+        UserWarning, match=r"method scan expects the sensor at the origin, which is 6e\+06 m from the cloud"
+    ):
+        segment_scan(points + torch.tensor([0.0, 6e6, 0]))
+
+
 def test_rough_ground_leaves_few_crumbs():
     points, what = scan(((8.0, -1.0, -HEIGHT), (12.0, 1.0, -0.2)), reach=40)
     ground = what == 0

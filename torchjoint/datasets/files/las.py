@@ -64,10 +64,11 @@ def epsg_of(path: Path) -> int | None:
     """The EPSG code of a file's horizontal coordinate system, from its WKT or its GeoTIFF keys; None if it has none."""
     with open_las(path) as reader:
         text, keys = _system(reader)
-    horizontal = re.split(r",\s*VERT", text)[0]  # of a compound system
-    # The code of a system stands at its end; codes before it are those of its parts.
-    if found := re.search(r'(?:AUTHORITY|ID)\["EPSG",\s*"?(\d+)"?\]\s*\][\s\0]*$', horizontal):
-        return int(found[1])
+    # The code of a system stands at its end; codes before it are those of its parts. A compound system may have only
+    # one of the whole.
+    for one in (re.split(r",\s*VERT", text)[0], text):
+        if found := re.search(r'(?:AUTHORITY|ID)\["EPSG",\s*"?(\d+)"?\]\s*\][\s\0]*$', one):
+            return int(found[1])
     code = keys.get(PROJECTED, keys.get(GEOGRAPHIC))
     return code if code not in (None, USER_DEFINED) else None
 

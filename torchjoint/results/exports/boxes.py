@@ -72,7 +72,7 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
         told = f"footprints are seen along z, but up in this scene is {math.degrees(math.acos(up)):.0f} degrees away"
         warnings.warn(f"{told} from it", stacklevel=3)
     if epsg is None:
-        told = "no coordinate system of the cloud is known: programs will take the metres for degrees; set it there"
+        told = "no EPSG code of the cloud is known: programs will take the metres for degrees; set it there"
         warnings.warn(f"{path.name}: {told}", stacklevel=3)
     features = []
     for row, points in _rows(result):

@@ -34,7 +34,7 @@ class Mask(NamedTuple):
 
 def masks_of(labels: Tensor) -> Iterator[Mask]:
     """The masks of all segments of a label image [H, W], ascending by id; pixels without a label are in none."""
-    with needed_for("--format coco or sam", "pycocotools", "torchjoint[export]"):
+    with needed_for("the format coco or sam", "pycocotools", "torchjoint[export]"):
         from pycocotools import mask as coder
     ids, place = labels.unique(return_inverse=True)  # small numbers: ids may be large
     for index, area, box in image_views(place, len(ids)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -31,6 +32,9 @@ GROUND_GAP = 0.6
 
 #: The part of the allowed gap that grows with range must span at least this many steps between rings.
 RINGS_IN_GAP = 4
+
+#: No LiDAR on the ground sees farther, metres.
+FAR = 1000.0
 
 #: The rings of a scan; None: it has none; "search": they are searched for.
 GivenRings = Rings | Literal["search"] | None
@@ -87,6 +91,7 @@ def scan_gaps(points: Tensor, config: ScanConfig, rings: GivenRings) -> tuple[Ga
     Heights [N] float64 are those above the profiles. Arguments and errors are those of :func:`segment_scan`.
     """
     points = as_points(points).float()
+    tell_far_sensor(points)
     seen, height = directions(points), points[:, 2].double()
     gap = config.gap + config.gap_growth * seen.range
     with all_threads():
@@ -99,6 +104,16 @@ def scan_gaps(points: Tensor, config: ScanConfig, rings: GivenRings) -> tuple[Ga
     drawn = with_near_rings(points, seen, rings, config)
     gaps = Gaps.of(drawn, gap, torch.nonzero(height >= GROUND_HEIGHT).flatten())
     return gaps, grow_ground(points, height, seen, gaps, config, _or_all(spacing < torch.inf)), height
+
+
+def tell_far_sensor(points: Tensor) -> None:
+    """Warns if the origin, where the sensor is, is too far from the cloud to have seen it."""
+    if len(points):
+        low, high = points.aminmax(dim=0)
+        away = float((-high).clamp(min=0).maximum(low).norm())
+        if away > max(FAR, float((high - low).norm())):
+            told = f"method scan expects the sensor at the origin, which is {away:.3g} m from the cloud"
+            warnings.warn(f"{told}: subtract the sensor's place from the points", stacklevel=2)
 
 
 def _or_all(used: Tensor) -> Tensor | None:
