@@ -457,6 +457,11 @@ class TestPoseCheck:
     def test_right_poses_are_silent(self, synthetic):
         assert self.warnings_of(synthetic.scene) == []
 
+    def test_red_and_blue_exchanged_are_told(self, synthetic):
+        bgr = self.changed(synthetic, lambda frame: dataclasses.replace(frame, image=frame.image.flip(0)))
+        (message,) = self.warnings_of(bgr)
+        assert message.endswith("is one of them BGR?")
+
     @pytest.mark.parametrize("with_depth", [True, False])
     def test_inverted_poses(self, synthetic, with_depth):
         def invert(frame):
