@@ -1,6 +1,7 @@
 """A result is there as a whole or not at all, wherever the run that makes it is killed; and only one run makes it."""
 
 import errno
+import json
 import os
 import re
 import sys
@@ -12,6 +13,7 @@ import pytest
 from torchjoint.results import output_folder as module
 from torchjoint.results.output_folder import STATE, output_folder, own_files
 from torchjoint.runtime import outputs
+from torchjoint.runtime.files import file_checksum
 
 NEW = {"run.yaml": "new", "images/0.png": "new image", "points.ply": "new points"}
 OLD = {"run.yaml": "old", "images/0.png": "old image", "images/1.png": "old image", "hierarchy.npz": "old levels"}
@@ -206,6 +208,32 @@ def test_corrections_by_hand_are_not_overwritten(tmp_path):
     assert (out / "edits.json").read_text() == "by hand"
 
 
+def manifest_of(out):
+    image = out / "images" / "0.png"
+    return json.dumps({"files": {"images/0.png": [image.stat().st_size, file_checksum(image)]}})
+
+
+def test_an_image_that_a_user_painted_is_not_overwritten(tmp_path):
+    out = tmp_path / "out"
+    assert run(out)
+    write(out, {"manifest.json": manifest_of(out)})
+    write(out, {"images/0.png": "new IMAGE"})
+    with pytest.raises(ValueError, match=r"images/0\.png: is not as the run wrote it; move or delete it"):
+        run(out, overwrite=True, key="other")
+    assert content(out)["images/0.png"] == "new IMAGE"
+    (out / "images" / "0.png").unlink()
+    assert run(out, overwrite=True, key="other")
+
+
+@pytest.mark.parametrize("name", ["", "images"])
+def test_a_read_only_folder_in_it_is_told_before_the_work(tmp_path, monkeypatch, name):
+    out, access = tmp_path / "out", os.access
+    assert run(out)
+    monkeypatch.setattr(os, "access", lambda path, mode: access(path, mode) and path != out / name)
+    with pytest.raises(PermissionError, match=rf"{out / name}: is read-only; its files cannot be replaced"):
+        run(out, overwrite=True, key="other", meanwhile=lambda partial: pytest.fail("worked"))
+
+
 @pytest.mark.parametrize("has_manifest", [False, True])
 @pytest.mark.parametrize(
     "name", ["images/mine/a.png", "images/notes.txt", "images/.notes.md", "pieces/a.npz", "images/7.png"]
@@ -213,7 +241,7 @@ def test_corrections_by_hand_are_not_overwritten(tmp_path):
 def test_what_a_user_put_into_its_folders_is_not_overwritten(tmp_path, name, has_manifest):
     out = tmp_path / "out"
     assert run(out)
-    write(out, {name: "mine"} | ({"manifest.json": '{"files": {"images/0.png": []}}'} if has_manifest else {}))
+    write(out, {name: "mine"} | ({"manifest.json": manifest_of(out)} if has_manifest else {}))
     if name != "images/7.png" or has_manifest:
         place = "images/mine" if "mine" in name else name
         with pytest.raises(FileExistsError, match=rf"out/{place}: is of no result of torchjoint; move or delete it"):

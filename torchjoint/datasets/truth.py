@@ -135,6 +135,9 @@ def instances_in_boxes(points: Tensor, centers: Tensor, sizes: Tensor, axes: Ten
         if error > RIGID_TOLERANCE or not bool((size > 0).all()):
             got = f"{size.tolist()}, and axes off by {float(error):.3g}"
             raise ValueError(f"{name}: expected lengths > 0, and axes of length 1 at right angles, got {got}")
+    last = dict(zip(map(tuple, torch.cat([centers, sizes, axes.flatten(1)], dim=1).tolist()), names, strict=True))
+    if hidden := set(names).difference(last.values()):
+        warnings.warn(f"{min(hidden)}: this box is there twice; its points belong to the last one", stacklevel=2)
     instances = torch.full((len(points),), -1, dtype=torch.int64)
     large_first = torch.argsort(sizes.prod(dim=1), descending=True, stable=True)
     for box in large_first.tolist():

@@ -81,6 +81,21 @@ def open_manifest(folder: Path) -> Check:
     return check
 
 
+def listed_files(folder: Path) -> dict[str, list[Any]]:
+    """Size and checksum of each file of a result, as its run wrote them; empty for a result without a manifest.
+
+    Raises:
+        ValueError: a file is there that is not as the run wrote it, such as an image that a user painted by hand.
+    """
+    manifest = folder / FILE
+    with damage_is(f"{manifest}: not the list of a result's files; move or delete its folder"):
+        files = dict(read_json(manifest, "a list of files")["files"]) if manifest.is_file() else {}
+    for name in filter(files.__contains__, _names(folder)):
+        if files[name] != [(folder / name).stat().st_size, file_checksum(folder / name)]:
+            raise ValueError(f"{folder / name}: is not as the run wrote it; move or delete it, then start again")
+    return files
+
+
 _WAY_OUT = "; load_result(..., verify=False) reads it all the same"
 
 

@@ -24,11 +24,10 @@ from typing import NamedTuple
 
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.folder import PARTS
-from torchjoint.results.manifest import FILE as MANIFEST
-from torchjoint.runtime.files import PARTIAL, no_link
-from torchjoint.runtime.foreign_files import damage_is, read_json
+from torchjoint.results.manifest import listed_files
+from torchjoint.runtime.files import FULL, PARTIAL, no_link
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.outputs import (
-    FULL,
     SOURCE,
     Seen,
     check_no_input,
@@ -141,7 +140,7 @@ def output_folder(
         try:
             yield places.partial
         except BaseException as error:
-            if isinstance(error, OSError) and error.errno in FULL:  # which name no file
+            if isinstance(error, OSError) and error.errno in FULL:
                 error.filename = error.filename or str(places.partial)
             is_ours = held.is_held() and places.partial.is_dir()
             if is_ours and [path.name for path in places.partial.iterdir()] == [SOURCE]:  # nothing to resume
@@ -216,12 +215,8 @@ def _is_part(path: Path) -> bool:
     return _is_left(path) or any(fnmatch(path.name, part) for part in (*PARTS, COMPLETE))
 
 
-def _others(path: Path) -> Iterator[Path]:
-    """What is in a part of a result, and not of a frame in its manifest, if it has one."""
-    manifest = path.parent / MANIFEST
-    with damage_is(f"{manifest}: not the list of a result's files; move or delete its folder"):
-        listed = read_json(manifest, "a list of files")["files"] if manifest.is_file() else ()
-        frames = {Path(name).stem for name in listed}
+def _others(path: Path, frames: set[str]) -> Iterator[Path]:
+    """What is in a part of a result, and not of one of its frames, if they are known."""
     for one in path.iterdir() if path.is_dir() and not path.is_symlink() else ():
         is_own = one.suffix in (".png", ".jpg") and not one.is_dir() and (not frames or one.stem in frames)
         if not is_own and not _is_left(one):
@@ -238,8 +233,10 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
         raise FileExistsError(f"{out / EDITS}: has corrections by hand; move or delete it, then start again")
     if len(places.seen()) > 1 and not (out / "run.yaml").is_file():
         raise FileExistsError(f"{out}: expected a result of torchjoint, which has a run.yaml; it is not overwritten")
+    frames = {Path(name).stem for name in listed_files(out)}
     for path in (out / name for name in sorted({name for name, _, _ in places.seen() if name})):
-        if other := path if not _is_part(path) else next(_others(path), None):
+        if other := path if not _is_part(path) else next(_others(path, frames), None):
             raise FileExistsError(f"{other}: is of no result of torchjoint; move or delete it, then start again")
-    if places.inside and not os.access(out, os.W_OK | os.X_OK):
-        raise PermissionError(f"{out}: is read-only")
+    for folder in (out, *filter(Path.is_dir, out.iterdir())):
+        if not os.access(folder, os.W_OK | os.X_OK):  # else the earlier result could not be moved, or not be deleted
+            raise PermissionError(f"{folder}: is read-only; its files cannot be replaced")

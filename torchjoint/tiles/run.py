@@ -149,7 +149,11 @@ def _files(cloud: Path) -> list[Path]:
         raise FileNotFoundError(f"{cloud}: missing; expected a .las or .laz file, or a folder of them")
     if not is_las(cloud):
         raise ValueError(f"{cloud}: expected a .las or .laz file, or a folder of them")
-    return _in_folder(cloud) if cloud.is_dir() else [cloud]
+    if not cloud.is_dir():
+        return [cloud]
+    if below := sorted(file for file in cloud.glob("*/*") if file.suffix.lower() in SUFFIXES):
+        warnings.warn(f"{cloud}: LAS and LAZ files in folders in it are not read, such as {below[0]}", stacklevel=3)
+    return _in_folder(cloud)
 
 
 def _check_sizes(tile: float | None, buffer: float | None) -> None:

@@ -315,6 +315,8 @@ class TestPaths:
         ({"fl_y": -5}, {}, r"intrinsics of .*frames\[0\]: expected \[\[fx"),
         ({"camera_model": "EQUIRECT"}, {}, r"frames\[0\]: camera_model: .* got 'EQUIRECT'; undistort the images first"),
         ({"k4": 0.1}, {}, r"frames\[0\]: k4: expected 0 for a perspective camera, got 0\.1"),
+        ({"K1": 0.1, "k1": None}, {}, r"frames\[0\]: expected the key 'k1', got 'K1'"),
+        ({}, {"Depth_File_Path": "a.png"}, r"frames\[0\]: expected the key 'depth_file_path', got 'Depth_File_Path'"),
         ({"frames": {}}, {}, r"transforms\.json: frames: expected a list, got dict"),
         ({"frames": []}, {}, r"transforms\.json: frames: expected at least one, got none"),
         ({"frames": [3]}, {}, r"transforms\.json: frames\[0\]: expected an object, got 3"),

@@ -95,7 +95,7 @@ class Record:
         self.name = name
 
     def __contains__(self, key: str) -> bool:
-        return self.values.get(key) is not None
+        return self._value(key) is not None
 
     def number(self, key: str, default: float | None = None) -> float:
         """Returns a finite number; `default` if the key is missing."""
@@ -117,7 +117,7 @@ class Record:
 
     def integers(self, key: str) -> npt.NDArray[np.int64]:
         """Returns a list of integers, of any length, as [length] int64."""
-        values = self.values.get(key)
+        values = self._value(key)
         if not isinstance(values, list) or not all(type(one) is int and -(1 << 63) <= one < 1 << 63 for one in values):
             raise ValueError(f"{self.name}: {key}: expected a list of integers of at most 64 bits")
         return np.array(values, dtype=np.int64)
@@ -142,10 +142,18 @@ class Record:
         return [_as_record(value, f"{self.name}: {key}[{index}]") for index, value in enumerate(values)]
 
     def _get(self, key: str, default: object = None) -> object:
-        value = self.values.get(key)
+        value = self._value(key)
         if value is None and default is None:
             raise ValueError(f"{self.name}: {key}: missing")
         return default if value is None else value
+
+    def _value(self, key: str) -> object:
+        value = self.values.get(key)
+        if value is None:  # K1 for k1 would otherwise be a camera without distortion
+            other = next((one for one in self.values if one != key and one.casefold() == key.casefold()), key)
+            if self.values.get(other) is not None:
+                raise ValueError(f"{self.name}: expected the key {key!r}, got {other!r}")
+        return value
 
 
 def numbers_of(records: Sequence[Record], key: str, count: int) -> Tensor:
