@@ -181,6 +181,8 @@ class TestPackedPoints:
         [
             b'<!DOCTYPE e57Root SYSTEM "http://a/b">',  # the library asks the network
             b'<!ENTITY a SYSTEM "/dev/zero">        ',
+            b'<e57Root xsi:schemaLocation="a http://a/b">',  # it validates, too
+            b'<e57Root x:noNamespaceSchemaLocation = "b">',
             b'<?xml version="1" encoding="IBM1047"?>',
             "<?xml".encode("utf-16"),
         ],
@@ -192,7 +194,7 @@ class TestPackedPoints:
         assert at % 1024 < 900
         path.write_bytes(content[:at] + xml + content[at + len(xml) :])
         monkeypatch.delattr("pye57.E57")
-        with pytest.raises(ValueError, match=r"cloud\.e57: not a whole E57 file: expected XML in UTF-8 without a doc"):
+        with pytest.raises(ValueError, match=r"cloud\.e57: not a whole E57 file: expected XML in UTF-8 without a"):
             tj.load_scene(path)
 
     def test_e57(self, tmp_path, monkeypatch):

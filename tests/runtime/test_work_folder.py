@@ -39,6 +39,14 @@ def test_a_folder_of_others_stays(tmp_path, text):
     assert (folder / "thesis.tex").read_text() == "precious"
 
 
+def test_a_folder_of_another_user(tmp_path, monkeypatch):
+    """Its owner could put a link to any folder into it while the run works, which would write and delete there."""
+    folder = work_folder(tmp_path / "work", "source")
+    monkeypatch.setattr(os, "fstat", lambda own: os.stat_result(range(10)))  # user 4
+    with pytest.raises(FileExistsError, match="work: belongs to another user; move it, or choose another output"):
+        work_folder(folder, "source")
+
+
 def test_a_seal_moves_with_its_folder_and_is_not_copied(tmp_path):
     work_folder(tmp_path / "one", "source")
     shutil.copytree(tmp_path / "one", tmp_path / "copy")

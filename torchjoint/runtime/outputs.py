@@ -162,6 +162,9 @@ def work_folder(folder: Path, source: str) -> Path:
     # A run may be killed after it made the folder, and before it wrote the first file.
     if known is None and any(not path.name.startswith(PARTIAL) for path in folder.iterdir()):
         raise FileExistsError(f"{folder}: expected the folder of an earlier run; move it, or choose another output")
+    with tempfile.TemporaryFile(dir=folder, prefix=PARTIAL) as own:  # some file systems give all files one owner
+        if os.fstat(own.fileno()).st_uid != folder.stat().st_uid:  # who may put a link into it while the run works
+            raise FileExistsError(f"{folder}: belongs to another user; move it, or choose another output")
     for path in (folder, *folder.rglob("*")):
         remove_partial_files(path)
     if known is not None and known != source:

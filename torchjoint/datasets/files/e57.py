@@ -28,8 +28,8 @@ from torchjoint.scene.cloud import full_brightness
 
 #: Bytes of a page, of which the last four are a checksum.
 PAGE = 1024
-#: A document type, or another encoding, in which one could hide.
-_FOREIGN_XML = re.compile(rb"<!(DOCTYPE|ENTITY)|\0|\A[^>]*encoding\s*=\s*.(?!utf-8)", re.I)
+#: A document type, the place of a schema, or another encoding, in which these could hide.
+_FOREIGN_XML = re.compile(rb"<!(DOCTYPE|ENTITY)|schemaLocation\s*=|\0|\A[^>]*encoding\s*=\s*.(?!utf-8)", re.I)
 _XYZ = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
@@ -59,7 +59,7 @@ def read_e57(path: Path) -> CloudFile:
 
 
 def _check_xml(path: Path) -> None:
-    """Checks the part in XML. The library would fetch what a document type names, also from the network."""
+    """Checks the part in XML. The library would fetch what it names as its type or schema, also from the network."""
     with open_file(path, "a point cloud, .e57") as stream, damage_is(f"{path}: not a whole E57 file", expat.ExpatError):
         at, size, page = struct.unpack("<24xQQQ", stream.read(48))
         bounds.check(size, min(path.stat().st_size, bounds.JSON_BYTES), "bytes of XML")
@@ -70,7 +70,7 @@ def _check_xml(path: Path) -> None:
         pages = (data[first : first + PAGE - 4] for first in range(0, len(data), PAGE))
         xml = b"".join(pages)[at % PAGE :][:size]
         if not xml.startswith((b"<", b"\xef\xbb\xbf<")) or _FOREIGN_XML.search(xml):
-            raise ValueError("expected XML in UTF-8 without a document type")
+            raise ValueError("expected XML in UTF-8 without a document type or schema")
         _check_depth(xml)
 
 
