@@ -55,7 +55,7 @@ def place(tmp_path):
     assert (victim / "PWN.png").read_text() == "precious"
 
 
-@pytest.mark.filterwarnings("ignore:.*no coordinate system")
+@pytest.mark.filterwarnings("ignore:.*no EPSG code")
 def test_any_name_is_written_read_and_exported(run, place, tmp_path):
     names = tuple(name.replace("{root}", str(tmp_path)) for name in NAMES)
     scene, result = run[0], replace(run[1], names=names)
