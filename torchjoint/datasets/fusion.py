@@ -54,9 +54,6 @@ KINDS = [f"the poses look {text}" for text in CONVENTIONS.values()] + [
     "depth looks 5 times too small: millimetres where the format has 5000 per metre?",
     "depth looks 5 times too large: 5000 per metre where the format has millimetres?",
 ]
-#: If all poses are equal, so many last depth images are compared with the first: what hides a view for a moment is no
-#: motion of the camera. In the kitchen, a second of walking changes the median depth by .08 to .27.
-LAST = 3
 #: Fewest pixels that two images must share.
 LEAST_SHARED = 100
 #: About this number of pixels of an image are compared.
@@ -190,18 +187,14 @@ def fuse_or_recall(
     return kept["points"], kept["colors"]
 
 
-def warn_of_poses(frames: Sequence[Frame], name: str = "frames") -> bool:
+def warn_of_poses(frames: Sequence[Frame], name: str = "frames") -> None:
     """Compares the depth images of some pairs of frames, at the given poses and at the poses read otherwise.
-
-    Returns:
-        whether it warned.
 
     Warns:
         PoseWarning: the poses do not fit, and another convention does; or positions have another unit than depth.
         PoseDoubt: the poses do not fit, and nothing else does.
     """
-    _tell(doubts := _doubts(frames), name)
-    return bool(doubts)
+    _tell(_doubts(frames), name)
 
 
 def _tell(doubts: Mapping[str, Any], name: str) -> None:
@@ -216,7 +209,7 @@ def _doubts(frames: Sequence[Frame]) -> dict[str, str]:
     pairs = _pairs(frames)
     residuals = [_residuals(one, other) for one, other in pairs]
     if not residuals:
-        return _doubts_at_rest([frames[index] for index in evenly_spaced_indices(len(frames), PAIRS)])
+        return {}
     given, *others = torch.tensor(residuals, dtype=torch.float64).nan_to_num(math.inf).median(dim=0).values.tolist()
     best, kind = min(zip(others, KINDS, strict=True))
     said = f"differ by {given:.1%}" if math.isfinite(given) else "have nothing in common"
@@ -230,19 +223,6 @@ def _doubts(frames: Sequence[Frame]) -> dict[str, str]:
         told = f"depth images of neighbouring frames {said} (median)"
         return {PoseDoubt.__name__: f"{told}: wrong poses, order of quaternions, intrinsics or units?"}
     return {}
-
-
-def _doubts_at_rest(frames: Sequence[Frame]) -> dict[str, str]:
-    """Of frames with equal poses: the last ones must see what the first one saw, or poses are missing."""
-    measured = [frame for frame in frames if frame.depth is not None]
-    first = measured[0] if len(measured) > LAST else None
-    if first is None or any((one.world_to_camera != first.world_to_camera).any() for one in measured):
-        return {}
-    least = min(_residual(first, one, torch.eye(4, dtype=torch.float64)) for one in measured[-LAST:])
-    if not least > AGREEING:  # or it is not known
-        return {}
-    told = f"all poses are equal, but depth images differ by {least:.1%} and more (median)"
-    return {PoseDoubt.__name__: f"{told}: are the poses missing?"}
 
 
 def _are_apart(one: Frame, other: Frame) -> bool:
