@@ -1,9 +1,8 @@
 """Files that are always whole: there after success, as they were after an error, and nothing is left beside them."""
 
-import numpy as np
 import pytest
 
-from torchjoint.runtime.files import atomic_write, remove_partial_files, write_array, write_text
+from torchjoint.runtime.files import atomic_write, remove_partial_files, write_text
 
 
 def names(folder):
@@ -39,21 +38,6 @@ def test_after_an_error_all_is_as_before(tmp_path, before):
         write_half(file)
     assert names(tmp_path) == ([file.name] if before else [])
     assert before is None or file.read_text() == before
-
-
-@pytest.mark.parametrize("write", [write_array, lambda file, array: write_text(file, str(array.tolist()))])
-def test_a_disk_without_room_is_named(tmp_path, write):
-    """np.save of NumPy says only "9000 requested and 112 written"."""
-    resource = pytest.importorskip("resource")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, hard))
-    try:
-        with pytest.raises(OSError, match="File too large") as raised, atomic_write(tmp_path / "x.npy") as partial:
-            write(partial, np.arange(9000))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert raised.value.filename.startswith(str(tmp_path))
-    assert names(tmp_path) == []
 
 
 def test_nothing_written_is_an_error(tmp_path):

@@ -61,15 +61,9 @@ def segment(
         segmented = segmented_and_told(scene, out, parameters, reading.options(), **of_masks, **of_run)
     if segmented is not None:
         show_result(out, view, segmented.segmenter, segmented.scene)
-        if view is None and (file := _file_to_label(scene, out)) is not None:
+        is_labelled = scene.suffix.lower() in (".ply", *las.SUFFIXES)
+        for file in [] if view else [scene] if is_labelled else sorted(out.glob("cloud-*mm.ply")):
             say(f"torchjoint label {out} {file} -o labelled{file.suffix}: its labels in that file")
-
-
-def _file_to_label(scene: Path, out: Path) -> Path | None:
-    """The file of the cloud: that which was segmented, if `label` writes files of its kind, or the fused one."""
-    if scene.suffix.lower() in (".ply", *las.SUFFIXES):
-        return scene
-    return next(iter(sorted(out.glob("cloud-*mm.ply"))), None)
 
 
 def segmented_and_told(

@@ -20,7 +20,6 @@ from torchjoint.datasets.files.ply import read_records, write_bytes, write_cloud
 from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.results.figures import cloud_figure
 from torchjoint.results.render import label_colors
-from torchjoint.runtime.files import write_array
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.messages import say
 from torchjoint.scene import Scene
@@ -135,7 +134,7 @@ def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor, faces: Tens
     if out.suffix == ".ply":
         write_cloud(out, scene.points, label_colors(labels), labels, faces, NAME)
     elif out.suffix == ".npy":
-        write_array(out, of_rows.numpy())
+        np.save(out, of_rows.numpy())
     else:
         arrays = {"points": scene.points, "labels": labels, "colors": scene.colors, "faces": faces}
         np.savez_compressed(out, **{name: of.numpy() for name, of in arrays.items() if of is not None})  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files import las, meshes
-from torchjoint.datasets.files.columns import CloudFile, kept_columns
+from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import las_chunks, las_library, open_las
 from torchjoint.datasets.files.ply import PlyRecords, read_ply, read_records, write_bytes, write_cloud
 from torchjoint.results.render import label_colors
@@ -32,6 +32,8 @@ from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import without_return
 
+#: Of columns that are not read; they stay in the file.
+KEPT = ".*: no position, normal or colour by these names"
 #: Records that describe how a file stores its points; they do not fit the copy, which stores them in another way.
 _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 
@@ -165,7 +167,8 @@ def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
     sureness = "confidence" if name == "label" else f"{name}_confidence"  # a file may be labelled more than once
     for one in [name] if sure is None else [name, sureness]:
         check_dimension(source, one, "remove it first, or choose a name: `torchjoint label ... --name NAME`")
-    with kept_columns():
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", KEPT)
         points = las.read_las(source).points
     with damage_is(str(source)):
         nearest = nearest_points(result, points)
@@ -247,7 +250,8 @@ def _read(source: Path) -> CloudFile:
         )
     if suffix not in (".ply", *meshes.SUFFIXES):
         raise ValueError(f"{source}: expected a file that ends in {', '.join(('.ply', *meshes.SUFFIXES))}")
-    with kept_columns():
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", KEPT)
         return read_ply(source) if suffix == ".ply" else meshes.read_mesh_file(source)
 
 

@@ -25,9 +25,10 @@ from typing import NamedTuple
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.folder import PARTS
 from torchjoint.results.manifest import listed_files
-from torchjoint.runtime.files import FULL, PARTIAL, no_link
+from torchjoint.runtime.files import PARTIAL, no_link
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.outputs import (
+    FULL,
     SOURCE,
     Seen,
     check_no_input,
@@ -140,7 +141,7 @@ def output_folder(
         try:
             yield places.partial
         except BaseException as error:
-            if isinstance(error, OSError) and error.errno in FULL:
+            if isinstance(error, OSError) and error.errno in FULL:  # which name no file
                 error.filename = error.filename or str(places.partial)
             is_ours = held.is_held() and places.partial.is_dir()
             if is_ours and [path.name for path in places.partial.iterdir()] == [SOURCE]:  # nothing to resume

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
 import re
@@ -11,10 +10,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
-
-import numpy as np
-import numpy.typing as npt
 
 from torchjoint.runtime.foreign_files import open_file, read_file
 
@@ -26,8 +21,6 @@ _NOT_IN_NAMES = re.compile(r"[/\\:\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2
 PARTIAL = ".partial-"
 #: Environment variable with the cache's folder; empty: no cache. Default: torchjoint/ in the user's XDG_CACHE_HOME.
 CACHE = "TORCHJOINT_CACHE"
-#: Errors of a disk without room, which name no file.
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def cache_folder() -> Path | None:
@@ -85,10 +78,6 @@ def atomic_write(path: Path) -> Iterator[Path]:
     try:
         yield partial
         os.replace(partial, path)
-    except OSError as error:
-        if error.errno in FULL:
-            error.filename = error.filename or str(path)
-        raise
     finally:
         partial.unlink(missing_ok=True)
 
@@ -97,12 +86,6 @@ def write_text(path: Path, text: str) -> None:
     """Writes a text file (UTF-8) atomically."""
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")
-
-
-def write_array(path: Path, array: npt.NDArray[np.generic]) -> None:
-    """Writes a .npy; np.save itself does not say that a disk is full, but how many numbers it has written."""
-    with path.open("wb") as stream:
-        np.save(SimpleNamespace(write=stream.write), array)
 
 
 def remove_partial_files(folder: Path) -> None:

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.files.clouds import read_cloud_file
-from torchjoint.datasets.files.columns import kept_columns
 from torchjoint.datasets.files.las import las_chunks, open_las
 from torchjoint.datasets.files.ply import read_vertex_property
 from torchjoint.results.result import Result
@@ -53,8 +52,7 @@ def with_truth(result: Result, scene: Scene) -> Result:
 
 def read_labelled_cloud(path: Path) -> Result:
     """Reads a .ply, .las or .laz with `label` or `superpoint`, or a .npz with points and labels."""
-    with kept_columns():
-        cloud, labels = read_cloud_file(path, None, "keep"), _labels(path)
+    cloud, labels = read_cloud_file(path, None, "keep"), _labels(path)
     if labels is None or len(labels) != len(cloud.points):
         wanted = "a .ply, .las or .laz with `label` or `superpoint`, or a .npz with `labels`"
         raise ValueError(f"{path}: expected {wanted}, got no labels")

@@ -213,8 +213,8 @@ AGREEING_SHARE = 0.75
 #: images is below the third number, the scene has too little contrast to judge.
 CHANCE_SHARE, CHANCE_CORRELATION, LEAST_CONTRAST = 0.8, 0.6, 0.03
 
-#: Red and blue are exchanged if the correlation is larger then by this, and larger than by chance. In 43 generated and 27
-#: real scenes it is smaller by .04 or more, and with BGR larger by as much.
+#: Red and blue are exchanged if the correlation is larger then by this, and larger than by chance. In 43 generated and
+#: 27 real scenes it is smaller by .04 or more, and with BGR larger by as much.
 EXCHANGED = 0.03
 
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -122,14 +121,6 @@ def tell_not_read(columns: Iterable[str], name: str) -> None:
         what = "kept by `label`, without effect" if name.lower().endswith((".las", ".laz")) else "not used"
         told = f"{name}: {some}: no position, normal or colour by these names; {what} (docs/your_data.md)"
         warnings.warn(told, stacklevel=5)
-
-
-@contextmanager
-def kept_columns() -> Iterator[None]:
-    """Inside the block, columns that are not read are not told: they stay in the file."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".*: no position, normal or colour by these names")
-        yield
 
 
 def colors_of_all(parts: Sequence[tuple[str, Tensor | None]], name: str, what: str) -> Tensor | None:

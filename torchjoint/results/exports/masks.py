@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +14,7 @@ from torch import Tensor
 from torchjoint.results.objects import image_views
 from torchjoint.results.result import Result
 from torchjoint.runtime.archives import write_archive
-from torchjoint.runtime.files import file_name, frame_files, write_array, write_text
+from torchjoint.runtime.files import file_name, frame_files, write_text
 from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import on_cpu, parallel_map
 
@@ -172,6 +171,5 @@ def export_openmask3d(folder: Path, result: Result) -> None:
     folder.mkdir(parents=True)
     name = scene_name(result)
     segments = _segments(result)
-    torch.save(result.points[:, None] == segments, content := io.BytesIO())  # of a full disk, torch.save says nothing
-    (folder / f"{name}_masks.pt").write_bytes(content.getbuffer())
-    write_array(folder / f"{name}_openmask3d_features.npy", result.embeddings.vectors[segments].numpy())
+    torch.save(result.points[:, None] == segments, folder / f"{name}_masks.pt")
+    np.save(folder / f"{name}_openmask3d_features.npy", result.embeddings.vectors[segments].numpy())

@@ -91,8 +91,10 @@ def scan_gaps(points: Tensor, config: ScanConfig, rings: GivenRings) -> tuple[Ga
     Heights [N] float64 are those above the profiles. Arguments and errors are those of :func:`segment_scan`.
     """
     points = as_points(points).float()
-    tell_far_sensor(points)
     seen, height = directions(points), points[:, 2].double()
+    if len(points) and (away := float(seen.range.min())) > FAR:
+        told = f"method scan expects the sensor at the origin, which is {away:.3g} m from the cloud"
+        warnings.warn(f"{told}: subtract the sensor's place from the points", stacklevel=2)
     gap = config.gap + config.gap_growth * seen.range
     with all_threads():
         spacing = local_spacing(points, gap, GROUND_GAP, SPACING_NEIGHBORS)
@@ -104,16 +106,6 @@ def scan_gaps(points: Tensor, config: ScanConfig, rings: GivenRings) -> tuple[Ga
     drawn = with_near_rings(points, seen, rings, config)
     gaps = Gaps.of(drawn, gap, torch.nonzero(height >= GROUND_HEIGHT).flatten())
     return gaps, grow_ground(points, height, seen, gaps, config, _or_all(spacing < torch.inf)), height
-
-
-def tell_far_sensor(points: Tensor) -> None:
-    """Warns if the origin, where the sensor is, is too far from the cloud to have seen it."""
-    if len(points):
-        low, high = points.aminmax(dim=0)
-        away = float((-high).clamp(min=0).maximum(low).norm())
-        if away > max(FAR, float((high - low).norm())):
-            told = f"method scan expects the sensor at the origin, which is {away:.3g} m from the cloud"
-            warnings.warn(f"{told}: subtract the sensor's place from the points", stacklevel=2)
 
 
 def _or_all(used: Tensor) -> Tensor | None:
