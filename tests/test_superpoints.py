@@ -434,3 +434,16 @@ def test_outdoor_joins_the_rings_of_a_lidar():
 def test_type_checkers_know_every_parameter():
     """Else ``superpoints(points, scal=2.0)`` would pass them."""
     assert get_type_hints(SuperpointsParameters) == get_type_hints(SuperpointsConfig)
+
+
+def test_a_mesh_in_float64_is_that_of_segmentator_in_float32():
+    """Open3D writes doubles, and ScanNet's segmentator reads them as floats."""
+    generator = torch.Generator().manual_seed(0)
+    vertices = torch.cartesian_prod(torch.arange(150.0), torch.arange(150.0), torch.zeros(1)).double() / 20
+    vertices[:, 2] = (3 * vertices[:, 0]).sin().round() * 0.3
+    vertices += 0.004 * torch.randn(len(vertices), 3, generator=generator) + torch.tensor([900.0, 5, 1])
+    index = torch.arange(22500).reshape(150, 150)
+    corners = [index[:-1, :-1], index[1:, :-1], index[:-1, 1:]], [index[1:, 1:], index[:-1, 1:], index[1:, :-1]]
+    faces = torch.cat([torch.stack(one, dim=-1).reshape(-1, 3) for one in corners])
+    labels = tj.superpoints(vertices, faces=faces.numpy(), preset="segmentator")  # arrays of both kinds
+    assert torch.equal(labels, tj.superpoints(vertices.float(), faces=faces, preset="segmentator"))

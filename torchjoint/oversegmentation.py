@@ -113,8 +113,7 @@ def superpoints(
         (tensor([0, 1]), tensor([400, 400]))
     """
     given: list[Any] = [points, colors, normals, edges, faces, ptr, viewpoint]
-    if isinstance(points, np.ndarray):
-        given = [as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given]
+    given = [as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given]
     valid = None
     if drop_invalid or _has_beams(*given):
         valid, given = without_invalid("drop" if drop_invalid else "keep", *given)
@@ -208,7 +207,7 @@ class Superpoints(nn.Module):
 
 def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     """The labels [N] int64 of one cloud."""
-    cloud, of_point = _local(replace(given, normals=given.without_constants().normals))
+    cloud, of_point = _local(replace(given, normals=given.without_constants().normals), config.weight == "segmentator")
     edges, normals, oriented, spacing = _graph(cloud, config)
     if len(spacing):
         warn_of_rounding(given.points, spacing)
@@ -224,7 +223,7 @@ def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     return labels if of_point is None else labels[of_point]
 
 
-def _local(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
+def _local(cloud: Cloud, is_segmentator: bool) -> tuple[Cloud, Tensor | None]:
     """The cloud that is segmented, in local coordinates; and its point for each given point, None: the same points.
 
     Copies are merged only if the graph is computed here. Given edges and faces define which points are connected.
@@ -235,8 +234,10 @@ def _local(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
     if ours:
         cloud, of_point = without_copies(cloud)
         maps.append(of_point)
-    # ScanNet's segmentator computes normals from the given float32 coordinates.
-    as_given = cloud.faces is not None and not is_double(cloud.points)
+    # ScanNet's segmentator computes normals from float32 coordinates, as which it reads those of a file. So does this,
+    # unless it would round those of a survey.
+    is_single = not is_double(cloud.points) or (is_segmentator and float(cloud.points.abs().max()) < 1000)
+    as_given = cloud.faces is not None and is_single
     frame = LocalFrame.of_world() if as_given else LocalFrame.of(cloud.points)
     cloud = frame.cloud(cloud)
     if ours:

@@ -200,7 +200,8 @@ def read_folder(
         if len(readers) == 1:
             next(iter(readers.values()))()  # its error may say why: a COCO data set
         raise ValueError(
-            f"{folder}: no masks have the name of a frame: masks {_listed(sorted(readers))}; frames {_listed(names)}"
+            f"{folder}: no masks (.png, .npz, .json, or folders of .png) have the name of a frame: "
+            f"masks {_listed(sorted(readers))}; frames {_listed(names)}"
         )
     frames = LazySequence(len(names), lambda index: _with_masks(scene.frames[index], of_frame[index]), names)
     have, lack = ([i for i, one in enumerate(of_frame) if (one is None) == is_none] for is_none in (False, True))
