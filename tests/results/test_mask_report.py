@@ -146,6 +146,14 @@ class TestARun:
         assert any(file.stem.endswith("-it") for file in written.values())
         assert len(read_ply(written[kept[0]]).points) == (stored == kept[0]).sum()
 
+    def test_what_is_kept_is_as_sure_as_before(self, out):
+        from torchjoint.results.mask_report import select_masked
+
+        loaded = tj.load_result(out, edits=False)
+        chosen = select_masked(out, loaded)
+        assert chosen.confidence is not None
+        assert torch.equal(chosen.confidence, loaded.confidence[: chosen.num_point_segments])
+
     def test_names_are_those_of_the_run(self, out, run, tmp_path):
         """Masks of another result would put names on other things; half a character cannot be written."""
         copy = shutil.copytree(out, tmp_path / "out")

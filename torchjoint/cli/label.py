@@ -43,7 +43,7 @@ def label(
         overwrite: replace OUT; a folder must hold nothing but the .ply files of an earlier run.
     """
     if not is_there(file):
-        cloud = next(iter(sorted(result.glob("cloud-*mm.ply"))), result / "points.ply")
+        cloud = min(result.glob("cloud-*mm.ply"), default=result / "points.ply")
         raise FileNotFoundError(f"{file} does not exist; the cloud of this result is {cloud}")
     loaded = at_level(result, load_result(result), granularity)
     kinds = ".ply", ".glb", *las.SUFFIXES

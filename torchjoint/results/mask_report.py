@@ -133,7 +133,10 @@ def select_masked(folder: Path, result: Result) -> Result:
         raise ValueError(f"{folder / FILE}: no segment lies in masks with half of its pixels")
     count = result.num_point_segments
     images = level_images(result.images, count, table, count)
-    return replace(result, points=table[result.points], images=images, hierarchy=None, superpoint_images=())
+    chosen = replace(result, points=table[result.points], images=images, hierarchy=None, superpoint_images=())
+    known, count = result._confidence, chosen.num_point_segments  # which stays, though there are no levels
+    vars(chosen)["_confidence"] = known and known._replace(of_segment=known.of_segment[:count])
+    return chosen
 
 
 def _read(folder: Path) -> dict[str, Any]:

@@ -243,9 +243,9 @@ class Viewer:
                     raise  # a mistake of the program: with its place, in the terminal
 
     def _say(self, text: str, color: str = "green") -> None:
-        seconds = 30.0 if color == "red" else 6.0  # who looks elsewhere must not miss an error
         for client in self.server.get_clients().values():
-            client.add_notification("torchjoint", printable(text), color=color, auto_close_seconds=seconds)
+            stays = 30.0 if color == "red" else 6.0  # who looks elsewhere must not miss an error
+            client.add_notification("torchjoint", printable(text), color=color, auto_close_seconds=stays)
 
     def _on_event(self, event: str, client: Any) -> None:
         kind, *values = event.removeprefix(PREFIX).split()[:-1] or [""]  # the last word is the time

@@ -93,8 +93,10 @@ def scan_gaps(points: Tensor, config: ScanConfig, rings: GivenRings) -> tuple[Ga
     points = as_points(points).float()
     seen, height = directions(points), points[:, 2].double()
     if len(points) and (away := float(seen.range.min())) > FAR:
-        told = f"method scan expects the sensor at the origin, which is {away:.3g} m from the cloud"
-        warnings.warn(f"{told}: subtract the sensor's place from the points", stacklevel=2)
+        told = (
+            f"method scan expects the sensor at the origin, {away:.3g} m from here: subtract its place from the points"
+        )
+        warnings.warn(told, stacklevel=2)
     gap = config.gap + config.gap_growth * seen.range
     with all_threads():
         spacing = local_spacing(points, gap, GROUND_GAP, SPACING_NEIGHBORS)
