@@ -97,6 +97,19 @@ def test_a_file_without_chunks(tmp_path, points_of_header):
         read_las(path)
 
 
+def test_a_chunk_of_more_points_than_memory_holds(tmp_path):
+    """lazrs makes room for a whole chunk, and would abort."""
+    cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
+    cloud.xyz = np.eye(3)
+    cloud.write(tmp_path / "a.laz")
+    data = (tmp_path / "a.laz").read_bytes()
+    size = (50_000).to_bytes(4, "little")
+    assert data.count(size) == 1
+    (tmp_path / "a.laz").write_bytes(data.replace(size, b"\xfe\xff\xff\xff"))
+    with pytest.raises(ValueError, match=r"a\.laz: not a whole LAS file: expected at most \d+ bytes when"):
+        read_las(tmp_path / "a.laz")
+
+
 def test_other_dimensions_are_said_to_stay_in_the_file(tmp_path):
     header = laspy.LasHeader(point_format=2)
     header.add_extra_dim(laspy.ExtraBytesParams("Amplitude", np.float32))
