@@ -1,5 +1,7 @@
 """Files that are always whole: there after success, as they were after an error, and nothing is left beside them."""
 
+import errno
+
 import pytest
 
 from torchjoint.runtime.files import atomic_write, remove_partial_files, write_text
@@ -38,6 +40,18 @@ def test_after_an_error_all_is_as_before(tmp_path, before):
         write_half(file)
     assert names(tmp_path) == ([file.name] if before else [])
     assert before is None or file.read_text() == before
+
+
+def test_a_full_disk_names_the_file(tmp_path):
+    """The system names it where a file is opened, and not where there is no room for its content."""
+
+    def end():
+        with atomic_write(tmp_path / "a.csv"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space") as raised:
+        end()
+    assert raised.value.filename == str(tmp_path / "a.csv")
 
 
 def test_nothing_written_is_an_error(tmp_path):

@@ -109,6 +109,20 @@ def test_an_earlier_folder_comes_back(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [tmp_path / "out"]
 
 
+def test_an_array_on_a_full_disk(tmp_path):
+    """NumPy tells neither the file nor the reason."""
+    made = Output(tmp_path / "a.npy", overwrite=False)
+
+    def end():
+        with made.written() as path:
+            path.touch()
+            raise OSError("4000 requested and 496 written")
+
+    with pytest.raises(OSError, match=r"a\.npy: cannot be written \(4000 .* written\); is the disk full\?"):
+        end()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_kill_between_both_steps(tmp_path):
     new, out, aside = (tmp_path / name for name in ("new", "out", "aside"))
     write(new, "new")

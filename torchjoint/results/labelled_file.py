@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files import las, meshes
 from torchjoint.datasets.files.columns import CloudFile
-from torchjoint.datasets.files.las import las_chunks, las_library, open_las
+from torchjoint.datasets.files.las import las_chunks, las_library, laz_backend, open_las
 from torchjoint.datasets.files.ply import PlyRecords, read_ply, read_records, write_bytes, write_cloud
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
@@ -76,7 +76,8 @@ def write_labelled(
     laspy, done = las_library(), 0
     with open_las(path, only_places=False) as reader:
         header = _header(laspy, reader.header, columns)
-        with _disk_errors(out), laspy.open(out, "w", header=header, do_compress=out.suffix.lower() == ".laz") as writer:
+        packed, backend = out.suffix.lower() == ".laz", laz_backend(laspy)
+        with _disk_errors(out), laspy.open(out, "w", laz_backend=backend, header=header, do_compress=packed) as writer:
             for chunk in las_chunks(reader, path):
                 record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=writer.header)
                 for name in chunk.array.dtype.names:  # the stored numbers, not scaled coordinates: an exact copy

@@ -25,10 +25,9 @@ from typing import NamedTuple
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.folder import PARTS
 from torchjoint.results.manifest import listed_files
-from torchjoint.runtime.files import PARTIAL, no_link
+from torchjoint.runtime.files import FULL, PARTIAL, no_link
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.outputs import (
-    FULL,
     SOURCE,
     Seen,
     check_no_input,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
@@ -19,6 +20,8 @@ LONGEST = 240
 _NOT_IN_NAMES = re.compile(r"[/\\:\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 #: How the names of temporary files begin; a random part follows, so that two writers of a file do not meet.
 PARTIAL = ".partial-"
+#: Errors of a disk without room.
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: Environment variable with the cache's folder; empty: no cache. Default: torchjoint/ in the user's XDG_CACHE_HOME.
 CACHE = "TORCHJOINT_CACHE"
 
@@ -78,6 +81,10 @@ def atomic_write(path: Path) -> Iterator[Path]:
     try:
         yield partial
         os.replace(partial, path)
+    except OSError as error:
+        if error.errno in FULL and str(error.filename or partial) == str(partial):  # such an error names no file
+            error.filename = str(path)
+        raise
     finally:
         partial.unlink(missing_ok=True)
 

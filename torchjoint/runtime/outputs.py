@@ -6,7 +6,6 @@ it begins, and compares at the moment of replacing. An earlier folder is moved a
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import stat
@@ -18,7 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from torchjoint.runtime.files import PARTIAL, no_link, remove_partial_files, write_text
+from torchjoint.runtime.files import FULL, PARTIAL, no_link, remove_partial_files, write_text
 
 
 class BusyError(FileExistsError):
@@ -305,10 +304,6 @@ def _is_mount_point(path: Path) -> bool:
     return any(line.split(" ")[4:5] == [escaped] for line in lines)
 
 
-#: Errors of a disk without room.
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
-
 class Output:
     """A file or folder that a command writes when its work is done.
 
@@ -352,6 +347,8 @@ class Output:
             error.args = tuple(known)
             if isinstance(error, OSError) and (error.filename or error.errno in FULL):  # which name no file
                 error.filename = str(error.filename or new).replace(str(new), str(self.path))
+            if type(error) is OSError and not error.errno and str(self.path) not in str(error):  # of NumPy
+                error.args = (f"{self.path}: cannot be written ({error}); is the disk full?",)
             shutil.rmtree(new, ignore_errors=True) if new.is_dir() else new.unlink(missing_ok=True)
             with suppress(OSError):  # it holds what could not be put back
                 beside.rmdir()

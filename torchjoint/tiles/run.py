@@ -237,7 +237,7 @@ def _check_disk(work: Path, num_points: int, colored: bool) -> None:
     """Checks the free disk space for points and labels; buffers add at most a third, unless tiles are very narrow."""
     needed, free = int(num_points * (point_type(colored).itemsize * 1.3 + 16)), shutil.disk_usage(work).free
     if needed > free:
-        raise ValueError(f"out: expected about {needed / 1e9:.1f} GB free in {work.parent}, got {free / 1e9:.1f} GB")
+        raise ValueError(f"out: expected about {needed / 1e6:.1f} MB free in {work.parent}, got {free / 1e6:.1f} MB")
 
 
 def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLike, hidden: bool | None) -> None:

@@ -1,14 +1,17 @@
 """LAS: the code of a survey's coordinate system."""
 
+import multiprocessing
 import warnings
 
 import laspy
 import numpy as np
 import pytest
+import torch
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct, WktCoordinateSystemVlr
 
 from torchjoint.datasets.files.clouds import read_cloud_file, up_of
 from torchjoint.datasets.files.las import epsg_of, read_las
+from torchjoint.results.labelled_file import write_labelled
 from torchjoint.tiles.plan import _bounds
 
 UTM = 'PROJCS["UTM 32N",GEOGCS["WGS 84",AUTHORITY["EPSG","4326"]],UNIT["metre",1,AUTHORITY["EPSG","9001"]]'
@@ -103,6 +106,40 @@ def test_a_file_without_chunks(tmp_path, points_of_header):
     told = "3 points in its header, no chunks of points" if points_of_header else "no points"
     with pytest.raises(ValueError, match=rf"a\.laz: not a whole LAS file: .*{told}"):
         read_las(path)
+
+
+def test_a_chunk_of_more_points_than_memory_holds(tmp_path):
+    """lazrs makes room for a whole chunk, and would abort."""
+    cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
+    cloud.xyz = np.eye(3)
+    cloud.write(tmp_path / "a.laz")
+    data = (tmp_path / "a.laz").read_bytes()
+    size = (50_000).to_bytes(4, "little")
+    assert data.count(size) == 1
+    (tmp_path / "a.laz").write_bytes(data.replace(size, b"\xfe\xff\xff\xff"))
+    with pytest.raises(ValueError, match=r"a\.laz: not a whole LAS file: expected at most \d+ bytes when"):
+        read_las(tmp_path / "a.laz")
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_forked_process_reads_and_writes(tmp_path):
+    """As a worker of a data loader: it lacks the threads that lazrs started in the process that it is forked from."""
+    cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
+    cloud.xyz = np.arange(600_000).reshape(-1, 3) / 1000
+    cloud.write(tmp_path / "a.laz")
+
+    def copy(name):
+        torch.set_num_threads(1)  # as a data loader does in its workers
+        write_labelled(tmp_path / "a.laz", tmp_path / name, {"label": np.arange(200_000)})
+        assert len(read_las(tmp_path / name).points) == 200_000
+
+    copy("here.laz")
+    worker = multiprocessing.get_context("fork").Process(target=copy, args=("there.laz",))
+    worker.start()
+    worker.join(60)
+    worker.kill()
+    assert worker.exitcode == 0
+    assert (tmp_path / "here.laz").read_bytes() == (tmp_path / "there.laz").read_bytes()
 
 
 def test_other_dimensions_are_said_to_stay_in_the_file(tmp_path):

@@ -10,6 +10,7 @@ If all are 0, there are none.
 from __future__ import annotations
 
 import math
+import os
 import re
 import struct
 import warnings
@@ -37,6 +38,8 @@ HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
 PROJECTED, GEOGRAPHIC, USER_DEFINED = 3072, 2048, 32767
 #: Keys of the kind of coordinates, 2 for degrees, and of the unit of lengths; the codes of feet.
 MODEL, LINEAR, FEET = 1024, 3076, range(9002, 9007)
+#: The process that imported this module. One that is forked from it lacks the threads that lazrs waits for.
+_PROCESS = os.getpid()
 #: Set in the point format's number if the points are compressed.
 COMPRESSED = 0x80
 
@@ -114,7 +117,8 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
     places = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.RGB | kinds.ALL_EXTRA_BYTES
     with ExitStack() as stack:
         with _clear_errors(path):
-            opened = laspy.open(path, decompression_selection=places if only_places else kinds.all())
+            selection = places if only_places else kinds.all()
+            opened = laspy.open(path, decompression_selection=selection, laz_backend=laz_backend(laspy))
             reader = stack.enter_context(opened)
             if header.is_compressed:
                 _compare_chunks(reader, header, path)
@@ -148,6 +152,12 @@ def las_library() -> Any:
         import laspy
         import lazrs  # noqa: F401
     return laspy
+
+
+def laz_backend(laspy: Any) -> Any:
+    """What packs and unpacks LAZ, for laspy: lazrs, with one thread in a forked process, as of a data loader."""
+    backend = laspy.LazBackend
+    return backend.LazrsParallel if os.getpid() == _PROCESS else backend.Lazrs
 
 
 @contextmanager

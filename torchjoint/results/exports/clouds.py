@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchjoint.datasets.files.las import check_no_copc
+from torchjoint.datasets.files.las import check_no_copc, laz_backend
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.results.labelled_file import file_stem
 from torchjoint.results.result import Result
@@ -57,7 +57,7 @@ def export_las(path: Path, result: Result) -> None:
         colors = (result.scene.colors.clamp(0, 1) * 65535).round().numpy().astype(np.uint16)
         cloud.red, cloud.green, cloud.blue = colors.T
     with atomic_write(path) as partial:
-        cloud.write(partial)
+        cloud.write(partial, laz_backend=laz_backend(laspy))
 
 
 @on_cpu()
