@@ -6,14 +6,16 @@ import threading
 
 import pytest
 
-from torchjoint.recordings.playing import Clock, Played, computed_beside, play
+from torchjoint.recordings import playing
+from torchjoint.recordings.playing import Played, computed_beside, play
 
 
 class Segmenter:
-    """Stands for a LiveSegmenter: each frame takes its number of seconds; every second frame is a keyframe."""
+    """Stands for a LiveSegmenter, and for the clock: each frame takes its seconds; every second one is a keyframe."""
 
-    def __init__(self) -> None:
+    def __init__(self, monkeypatch) -> None:
         self.time, self.names, self.begun = 0.0, [], []
+        monkeypatch.setattr(playing, "time", self)
 
     def update(self, frame: tuple[int, float]) -> None:
         number, seconds = frame
@@ -22,25 +24,25 @@ class Segmenter:
         if number % 2 == 0:
             self.names.append(str(number))
 
-    def clock(self) -> Clock:
-        def wait(seconds: float) -> None:
-            self.time += seconds
+    def monotonic(self) -> float:
+        return self.time
 
-        return Clock(lambda: self.time, wait)
+    def sleep(self, seconds: float) -> None:
+        self.time += seconds
 
 
-def test_frames_wait_for_their_time():
-    segmenter = Segmenter()
-    played = play([(number, 0.5) for number in range(4)], segmenter, 1.0, clock=segmenter.clock())
+def test_frames_wait_for_their_time(monkeypatch):
+    segmenter = Segmenter(monkeypatch)
+    played = play([(number, 0.5) for number in range(4)], segmenter, 1.0)
     assert segmenter.begun == [(0, 0.0), (1, 1.0), (2, 2.0), (3, 3.0)]
     assert played == ([0, 2], [], [0.5] * 4)
 
 
-def test_what_comes_too_late_is_dropped():
-    segmenter = Segmenter()
+def test_what_comes_too_late_is_dropped(monkeypatch):
+    segmenter = Segmenter(monkeypatch)
     frames = [(number, 2.5 if number == 0 else 0.1) for number in range(5)]
     told = []
-    played = play(frames, segmenter, 1.0, lambda *values: told.append(values), segmenter.clock())
+    played = play(frames, segmenter, 1.0, lambda *values: told.append(values))
     # At 2.5 s, frame 1 has been replaced by frame 2, which came at 2 s.
     assert segmenter.begun == [(0, 0.0), (2, 2.5), (3, 3.0), (4, 4.0)]
     assert played.dropped == [1]
@@ -54,9 +56,9 @@ def test_dropped_frames_are_told_in_ranges():
     assert "more than half: a lower --rate, or none" in Played([], [2, 3, 4, 9], [0.1]).told_dropped()
 
 
-def test_without_a_rate_no_frame_waits_or_is_dropped():
-    segmenter = Segmenter()
-    play([(number, 9.0) for number in range(3)], segmenter, clock=segmenter.clock())
+def test_without_a_rate_no_frame_waits_or_is_dropped(monkeypatch):
+    segmenter = Segmenter(monkeypatch)
+    play([(number, 9.0) for number in range(3)], segmenter)
     assert [begun for _, begun in segmenter.begun] == [0.0, 9.0, 18.0]
 
 

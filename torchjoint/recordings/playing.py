@@ -12,13 +12,6 @@ from torchjoint.live import LiveSegmenter
 from torchjoint.scene import Frame
 
 
-class Clock(NamedTuple):
-    """Seconds, and a way to wait."""
-
-    now: Callable[[], float] = time.monotonic
-    wait: Callable[[float], None] = time.sleep
-
-
 class Played(NamedTuple):
     """What became of the frames, by their numbers."""
 
@@ -42,7 +35,6 @@ def play(
     segmenter: LiveSegmenter,
     rate: float | None = None,
     told: Callable[[int, Frame | None], None] | None = None,
-    clock: Clock = Clock(),  # noqa: B008 (it has no state)
 ) -> Played:
     """Gives frames to a segmenter, none before its time.
 
@@ -53,25 +45,24 @@ def play(
             frame is dropped, and none waits.
         told: called after each frame with the number of frames so far and the frame, None if it was dropped; its time
             counts, too.
-        clock: another one for tests.
     """
     played = Played([], [], [])
-    start = clock.now()
+    start = time.monotonic()
     for index in range(len(frames)):
-        began, frame = clock.now(), None
+        began, frame = time.monotonic(), None
         early = 0.0 if rate is None else start + index / rate - began
         if rate is not None and early <= -1 / rate:
             played.dropped.append(index)
         else:
             if early > 0:
-                clock.wait(early)
-                began = clock.now()
+                time.sleep(early)
+                began = time.monotonic()
             before = len(segmenter.names)
             frame = frames[index]
             segmenter.update(frame)
             if len(segmenter.names) > before:
                 played.keyframes.append(index)
-            played.seconds.append(clock.now() - began)
+            played.seconds.append(time.monotonic() - began)
         if told is not None:
             told(index + 1, frame)
     return played
