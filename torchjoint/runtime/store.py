@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -39,18 +39,11 @@ _CALLED = re.compile(
 )
 
 
-class Content(Protocol):
-    """A place from which packed bytes can be read."""
-
-    def read(self) -> bytes:
-        """The bytes."""
-
-
 @dataclass(frozen=True)
 class Packed:
     """A packed tensor; :func:`pack` makes it."""
 
-    content: bytes | Content  #: the compressed bytes, or an object that reads them
+    content: bytes | Span  #: the compressed bytes, or their place in a file
     dtype: str  #: the tensor's type: uint8, int32, int64 or float32
     shape: tuple[int, ...]  #: the tensor's shape
     stored: str  #: the type of the compressed numbers, as NumPy writes it
@@ -99,7 +92,7 @@ class Packed:
         """Size of the tensor when it is unpacked."""
         return math.prod(self.shape) * _TYPES[self.dtype].itemsize
 
-    def at(self, content: bytes | Content) -> Packed:
+    def at(self, content: Span) -> Packed:
         """The same tensor, with its bytes at another place."""
         return replace(self, content=content)
 
