@@ -21,10 +21,6 @@ from torchjoint.views.evidence import Evidence
 THINNED_SHARE = 0.95
 
 
-def _nothing(graph: PointGraph) -> str:
-    return ""
-
-
 class Method(NamedTuple):
     """A method of step 6: two functions of a module, and what the log says."""
 
@@ -36,7 +32,7 @@ class Method(NamedTuple):
     #: 0, 1, ...; or all levels, if the method has more than one
     segment: Callable[[PointGraph, Evidence, Config], Tensor | Hierarchy]
     #: what was measured of a cloud: a text that continues "points: 1000"
-    measured: Callable[[PointGraph], str] = _nothing
+    measured: Callable[[PointGraph], str] | None = None
     uses_images: bool = True  #: whether frames affect the segments of the points
     has_levels: bool = False  #: whether `segment` gives a hierarchy
 
@@ -47,10 +43,10 @@ PAPER = Method("paper", paper.prepare, paper.segment)
 
 def scan_method(signs: ScanSigns | None = None) -> Method:
     """Method scan; `signs`: what was found in the cloud, None: it is looked for when it is needed."""
-    if signs is None:
-        return Method("scan", scan.prepare, scan.segment, scan.measured, uses_images=False, has_levels=True)
-    segment = partial(scan.segment, rings=signs.rings)
-    return Method("scan", scan.prepare, segment, partial(_known, signs), uses_images=False, has_levels=True)
+    segment, measured = scan.segment, scan.measured
+    if signs is not None:
+        segment, measured = partial(scan.segment, rings=signs.rings), partial(_known, signs)
+    return Method("scan", scan.prepare, segment, measured, uses_images=False, has_levels=True)
 
 
 def _known(signs: ScanSigns, _: PointGraph) -> str:
@@ -84,7 +80,7 @@ def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
     what = f"points: {len(given.points)}"
     if graph.num_points < THINNED_SHARE * len(given.points):
         what += f", much denser than their noise, or copies: computed with {graph.num_points}"
-    what += method.measured(graph)
+    what += method.measured(graph) if method.measured else ""
     if method.name == "learned" and graph.colors is None:
         what += f", {'no colours' if given.colors is None else 'all of one colour'} (those of images are used, if any)"
     return f"{what}; step 6 by method {method.name}"
