@@ -5,7 +5,16 @@ import math
 import torch
 from torch import Tensor
 
+from torchjoint.segments.scan.ground import ground_below
+from torchjoint.segments.scan.recognition import directions
+
 HEIGHT = 1.7
+
+
+def height_over_ground(points: Tensor) -> Tensor:
+    """[N] float64 metres."""
+    height = points[:, 2].double()
+    return height - ground_below(directions(points), height)
 
 
 def rays(beams: int = 40, steps: int = 720) -> Tensor:

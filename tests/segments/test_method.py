@@ -7,10 +7,11 @@ from functools import partial
 import pytest
 import torch
 from lidar_scans import HEIGHT, scan
+from torchjoint_lab.training.boundary_model_file import save_boundary_model
 from tqdm import tqdm
 
 import torchjoint as tj
-from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model, save_boundary_model
+from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
 from torchjoint.segments.method import choose_method
 from torchjoint.segments.scan.method import segment_scan
 

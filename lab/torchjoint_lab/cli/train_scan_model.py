@@ -28,8 +28,8 @@ def train_scan_model(
     """
     from tqdm import tqdm
 
-    from torchjoint.segments.learned.boundary_model import save_boundary_model
     from torchjoint_lab.benchmark.real_scenes import model_without
+    from torchjoint_lab.training.boundary_model_file import save_boundary_model
     from torchjoint_lab.training.scan_model import fit_scan_model, real_examples, street_examples
 
     if not 0 <= seeds[0] < seeds[1]:

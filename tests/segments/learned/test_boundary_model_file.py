@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from reference.boosted_trees import EXAMPLE as BOOSTED_TREES
+from torchjoint_lab.training.boundary_model_file import save_boundary_model
 
 from torchjoint.segments.learned import boundary_model as boundary_model_file
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES
@@ -20,7 +21,6 @@ from torchjoint.segments.learned.boundary_model import (
     MemberModel,
     calibrated,
     load_boundary_model,
-    save_boundary_model,
 )
 
 TREES = BoostedTrees(**{name: array for name, array in BOOSTED_TREES.items() if name != "values"}, baseline=0.5)

@@ -4,10 +4,9 @@ import math
 
 import pytest
 import torch
-from lidar_scans import HEIGHT, scan
+from lidar_scans import HEIGHT, height_over_ground, scan
 
 import torchjoint.segments.scan.ground as module
-from torchjoint.segments.scan.ground import height_over_ground
 
 CAR = ((8.0, -1.0, -HEIGHT), (12.0, 1.0, -0.2))
 
@@ -92,16 +91,3 @@ def test_threads_and_order_change_nothing(set_threads):
     assert torch.equal(heights[0], heights[2])
     order = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))
     assert torch.equal(height_over_ground(points[order]), heights[0][order])
-
-
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        (torch.zeros(0, 3), "points: expected at least one point"),
-        (torch.zeros(4, 2), r"points: expected shape \[N, 3\]"),
-        (torch.full((4, 3), torch.nan), "points: 4 of 4 points are NaN"),
-    ],
-)
-def test_bad_input(points, message):
-    with pytest.raises(ValueError, match=message):
-        height_over_ground(points)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from lidar_scans import HEIGHT, scan
+from lidar_scans import HEIGHT, height_over_ground, scan
 from torchjoint_lab.evaluation.scores import mean_scores, score
 
 from torchjoint.config import ScanConfig
@@ -15,7 +15,7 @@ from torchjoint.metrics import mean_best_iou
 from torchjoint.segments.scan import gaps
 from torchjoint.segments.scan import method as scan_segments
 from torchjoint.segments.scan.gaps import Gaps
-from torchjoint.segments.scan.ground import GROUND_HEIGHT, height_over_ground
+from torchjoint.segments.scan.ground import GROUND_HEIGHT
 from torchjoint.segments.scan.method import segment_levels, segment_scan, with_near_rings
 from torchjoint.segments.scan.recognition import Rings, directions
 from torchjoint.views.visibility import in_any_view

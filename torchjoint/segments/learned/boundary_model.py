@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import math
-import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,14 +10,12 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from torchjoint.ops.internal import boosted_trees
 from torchjoint.runtime.archives import read_archive
-from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import has_file
 from torchjoint.runtime.threads import all_threads
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES
@@ -194,30 +190,7 @@ PACKAGED, OF_IMAGES = "boundaries.npz", "boundaries-images.npz"
 #: Largest size of all arrays in a model's file, bytes. The packaged model takes less than 2 MB.
 LARGEST = 1 << 28
 #: The version of the file's layout, stored in the file.
-_FORMAT = 2
-
-
-def save_boundary_model(path: Path, model: BoundaryModel) -> None:
-    """Writes a model as an .npz file of plain arrays, atomically; equal models make equal files."""
-    arrays: dict[str, NDArray[Any]] = {
-        "format": np.array([_FORMAT]),
-        "feature_names": np.array(model.feature_names, dtype=np.str_),
-        "thresholds": np.array(model.thresholds, dtype=np.float64),
-        "baselines": np.array([[trees.baseline for trees in member.rounds] for member in model.members], np.float64),
-    }
-    for place, member in enumerate(model.members):
-        for number, (trees, calibration) in enumerate(zip(member.rounds, member.calibrations, strict=True)):
-            for name, array in zip(DTYPES, trees.arrays(), strict=True):
-                arrays[f"member{place}_round{number}_{name}"] = array.numpy()
-            arrays[f"member{place}_round{number}_calibration"] = calibration.numpy()
-    with atomic_write(path) as partial, zipfile.ZipFile(partial, "w") as archive:
-        for name, values in arrays.items():
-            content = io.BytesIO()
-            np.lib.format.write_array(content, np.ascontiguousarray(values), version=(1, 0), allow_pickle=False)
-            # np.savez would store the time of writing.
-            entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
-            entry.compress_type, entry.create_system, entry.external_attr = zipfile.ZIP_DEFLATED, 3, 0o644 << 16
-            archive.writestr(entry, content.getvalue(), compresslevel=9)
+FORMAT = 2
 
 
 def load_boundary_model(
@@ -262,8 +235,8 @@ def _model(arrays: dict[str, NDArray[Any]], features: tuple[str, ...]) -> Bounda
         return array
 
     version = take("format", "i", 1).tolist()
-    if version != [_FORMAT]:
-        raise ValueError(f"format: expected [{_FORMAT}], got {version[:3]}; from another version of torchjoint?")
+    if version != [FORMAT]:
+        raise ValueError(f"format: expected [{FORMAT}], got {version[:3]}; from another version of torchjoint?")
     names = tuple(take("feature_names", "U", 1).tolist())
     if names != features:
         raise ValueError(_other_features(names, features))

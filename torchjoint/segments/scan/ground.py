@@ -12,10 +12,9 @@ from torch import Tensor
 
 from torchjoint.config import ScanConfig
 from torchjoint.ops.internal import ground_heights, has_points_above
-from torchjoint.runtime.threads import all_threads, num_threads, one_thread_per_operation
-from torchjoint.scene.checks import as_points
+from torchjoint.runtime.threads import all_threads, num_threads
 from torchjoint.segments.scan.gaps import Gaps
-from torchjoint.segments.scan.recognition import Directions, directions
+from torchjoint.segments.scan.recognition import Directions
 
 #: Width of the azimuth columns along which the ground is followed, degrees: wide enough that few columns are empty
 #: behind objects, narrow enough for streets that bend or bank.
@@ -50,8 +49,8 @@ SIDES = 4
 BLIND = 0.75
 
 
-def height_over_ground(points: Tensor, used: Tensor | None = None) -> Tensor:
-    """Heights of the points of a scan above the ground.
+def ground_below(seen: Directions, height: Tensor, used: Tensor | None = None) -> Tensor:
+    """Heights [N] float64 of the ground at points, metres above the sensor.
 
     Each cell of azimuth and elevation contributes its lowest point. A profile follows each column of cells outward. It
     starts below the sensor, at the median height of the columns' lowest points near the sensor. It continues to the
@@ -59,22 +58,6 @@ def height_over_ground(points: Tensor, used: Tensor | None = None) -> Tensor:
     change of height is at most MAX_STEP plus MAX_SLOPE times the horizontal step. Parts of a profile more than MAX_BUMP
     above the median of the neighbouring profiles are removed, because there the profile follows an object that hides
     the ground. Between two places of a profile, and between two columns, the height is interpolated linearly.
-
-    Args:
-        points: [N, 3] metres, z up, the sensor at the origin.
-        used: [N] bool, the points that may be ground, at least one; None: all.
-
-    Returns:
-        [N] float64 metres.
-    """
-    points = as_points(points)
-    with torch.no_grad(), one_thread_per_operation():
-        seen, height = directions(points), points[:, 2].double()
-        return height - ground_below(seen, height, used)
-
-
-def ground_below(seen: Directions, height: Tensor, used: Tensor | None = None) -> Tensor:
-    """Heights [N] float64 of the ground at points: what :func:`height_over_ground` subtracts from their heights.
 
     Args:
         seen: directions of N points.
