@@ -7,19 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
+from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
 
 from torchjoint.scene import Frame
 from torchjoint.scene.checks import as_intrinsics, as_pose, check_largest
 from torchjoint.scene.frame import camera_center
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 Matrix = npt.NDArray[np.float64]
 
@@ -119,8 +117,6 @@ def resize_depth(depth: Tensor, size: tuple[int, int], name: str = "") -> Tensor
 
 def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:
     """Converts unit quaternions [N, 4], x y z w (Hamilton convention), to N rotations."""
-    from scipy.spatial.transform import Rotation
-
     lengths = np.linalg.norm(quaternions.clip(-2, 2), axis=1)  # clipped: squares of invalid numbers may overflow
     wrong = np.flatnonzero(~(np.abs(lengths - 1) <= UNIT_TOLERANCE))
     if len(wrong):
@@ -143,8 +139,6 @@ def poses_from_quaternions(quaternions: Matrix, positions: Matrix, name: str) ->
 
 def rotations_about(axis: int, angles: Tensor) -> Tensor:
     """Returns rotations [N, 3, 3] about axis x, y or z (0, 1, 2) by angles [N] in radians."""
-    from scipy.spatial.transform import Rotation
-
     return torch.from_numpy(Rotation.from_rotvec(angles[:, None].numpy() * np.eye(3)[axis]).as_matrix())
 
 
@@ -312,8 +306,6 @@ def interpolate_poses(
         T poses [4, 4] float64, with the direction of the rows (such as camera-to-world); None where no pose is near
             enough in time.
     """
-    from scipy.spatial.transform import Slerp
-
     check_largest(torch.from_numpy(rows[:, 1:]), name)
     rotations = rotations_from_quaternions(rows[:, 4:], name)
     if len(rows) == 1:  # duplicates a single pose, so that Slerp has two

@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole
@@ -69,8 +70,6 @@ def _time(file: Path) -> float:
 
 def _read_poses(file: Path, times: list[float]) -> list[Tensor | None]:
     """Camera-to-world poses at these times."""
-    from scipy.spatial.transform import Rotation
-
     table = read_timed_rows(file, "7 numbers", 7)
     to_world = Rotation.from_rotvec(table[:, 1:4]).inv()
     centers = -to_world.apply(table[:, 4:])
