@@ -28,7 +28,6 @@ class ObjectsAndParts(NamedTuple):
     f: float
 
 
-@on_cpu()
 def objects_and_parts(
     pred: Tensor,
     target: Tensor | Sequence[Tensor],
@@ -66,7 +65,6 @@ def objects_and_parts(
     return objects_and_parts_of(*overlap_tables(pred, target), gamma_object, gamma_part, beta)
 
 
-@on_cpu()
 def average_precision_objects(
     pred: Tensor, target: Tensor | Sequence[Tensor], gamma_part: float = 0.25, beta: float = 0.1
 ) -> float:
@@ -79,7 +77,6 @@ def average_precision_objects(
     return average_precision_objects_of(*overlap_tables(pred, target), gamma_part, beta)
 
 
-@on_cpu()
 def average_precision_parts(
     pred: Tensor, target: Tensor | Sequence[Tensor], gamma_object: float = 0.75, beta: float = 0.1
 ) -> float:
@@ -87,7 +84,6 @@ def average_precision_parts(
     return average_precision_parts_of(*overlap_tables(pred, target), gamma_object, beta)
 
 
-@on_cpu()
 def average_precision_objects_of(
     pred_area: Tensor, tables: Sequence[Overlaps], gamma_part: float = 0.25, beta: float = 0.1
 ) -> float:
@@ -95,7 +91,6 @@ def average_precision_objects_of(
     return _step_sum([objects_and_parts_of(pred_area, tables, k / 20, gamma_part, beta) for k in range(10, 20)])
 
 
-@on_cpu()
 def average_precision_parts_of(
     pred_area: Tensor, tables: Sequence[Overlaps], gamma_object: float = 0.75, beta: float = 0.1
 ) -> float:

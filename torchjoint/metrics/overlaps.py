@@ -147,7 +147,6 @@ class SegmentationCovering(NamedTuple):
     pred_by_target: float
 
 
-@on_cpu()
 def segmentation_covering(pred: Tensor, target: Tensor | Sequence[Tensor]) -> SegmentationCovering:
     """Computes the segmentation covering in both directions, and their mean.
 
@@ -176,7 +175,6 @@ def covering_of(tables: Sequence[Overlaps]) -> SegmentationCovering:
     return SegmentationCovering((target_by_pred + pred_by_target) / 2, target_by_pred, pred_by_target)
 
 
-@on_cpu()
 def mean_best_iou(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
     """Mean, over the ground-truth instances, of the best IoU with any predicted region.
 

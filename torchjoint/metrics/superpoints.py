@@ -12,7 +12,6 @@ from torchjoint.metrics.overlaps import check_integers, checked_pair, largest, o
 from torchjoint.runtime.threads import on_cpu
 
 
-@on_cpu()
 def achievable_segmentation_accuracy(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
     """Share of the points with a correct label if every superpoint gets the most frequent true label of its points.
 
@@ -34,7 +33,6 @@ def achievable_segmentation_accuracy(pred: Tensor, target: Tensor | Sequence[Ten
     return fmean([_share(largest(t.count, t.pred, len(t.pred_area)), t.target_area) for t in tables])
 
 
-@on_cpu()
 def undersegmentation_error(pred: Tensor, target: Tensor | Sequence[Tensor]) -> float:
     """Measures how far superpoints leak out of the true regions that they touch; lower is better.
 
