@@ -39,13 +39,14 @@ except ImportError as error:
 LIMIT = 1 << 63
 
 
-def call(kernel: Any, *arguments: Any) -> Any:
-    """Calls ``kernel``, such as ``torch.ops.torchjoint.min_cut.default``, without gradient; returns its result.
+def call(name: str, *arguments: Any) -> Any:
+    """Calls a kernel, such as ``torch.ops.torchjoint.min_cut``, by its name, without gradient; returns its result.
 
     Kernels throw C++ exceptions of the standard library. Up to version 2.14, torch translates them to ValueError and
     MemoryError. From 2.15 on, torch translates them to RuntimeError, which this function converts back. It cannot do
     this in compiled code: when torch.compile traces it, no error exists yet.
     """
+    kernel = getattr(torch.ops.torchjoint, name).default
     arguments = tuple(value.detach() if isinstance(value, Tensor) else value for value in arguments)
     if torch.compiler.is_compiling():
         return kernel(*arguments)

@@ -30,7 +30,7 @@ def connected_components(edge_index: Tensor, num_nodes: int) -> Tensor:
     """
     check_edge_index(edge_index)
     check_num_nodes(num_nodes)
-    return call(torch.ops.torchjoint.connected_components.default, edge_index, num_nodes)
+    return call("connected_components", edge_index, num_nodes)
 
 
 def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: float, min_size: int = 0) -> Tensor:
@@ -70,7 +70,7 @@ def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: floa
     check_num_nodes(num_nodes)
     check_number("scale", scale, (int, float))
     check_number("min_size", min_size, (int,))
-    return call(torch.ops.torchjoint.felzenszwalb.default, edge_index, weight, num_nodes, float(scale), min_size)
+    return call("felzenszwalb", edge_index, weight, num_nodes, float(scale), min_size)
 
 
 def merge_regions(
@@ -116,8 +116,7 @@ def merge_regions(
     check_array("size", size, torch.int64, (None,), "[R]")
     check_number("threshold", threshold, (int, float))
     check_number("min_size", min_size, (int,))
-    kernel = torch.ops.torchjoint.merge_regions.default
-    return call(kernel, edge_index, cost, size, float(threshold), min_size, bool(by_size))
+    return call("merge_regions", edge_index, cost, size, float(threshold), min_size, bool(by_size))
 
 
 def region_dendrogram(
@@ -159,7 +158,7 @@ def region_dendrogram(
     if count is None:
         count = edge_index.new_ones(()).expand(edge_index.shape[1])  # takes no memory
     check_array("count", count, torch.int64, (edge_index.shape[1],), f"[E] = [{edge_index.shape[1]}]")
-    return call(torch.ops.torchjoint.region_dendrogram.default, edge_index, cost, num_regions, float(threshold), count)
+    return call("region_dendrogram", edge_index, cost, num_regions, float(threshold), count)
 
 
 def min_cut(
@@ -208,7 +207,7 @@ def min_cut(
     check_vector("capacity", capacity, edge_index.shape[1], "E")
     check_vector("source_capacity", source_capacity, None, "N")
     check_vector("sink_capacity", sink_capacity, source_capacity.shape[0], "N")
-    return call(torch.ops.torchjoint.min_cut.default, edge_index, capacity, source_capacity, sink_capacity)
+    return call("min_cut", edge_index, capacity, source_capacity, sink_capacity)
 
 
 register_fakes(

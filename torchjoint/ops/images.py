@@ -48,7 +48,7 @@ def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
     """
     check_array("boundary", boundary, torch.float32, (None, None), "[H, W]")
     check_array("relief", relief, torch.float32, tuple(boundary.shape), f"[H, W] = {list(boundary.shape)}")
-    return call(torch.ops.torchjoint.ultrametric_contours.default, boundary, relief)
+    return call("ultrametric_contours", boundary, relief)
 
 
 def propagate_labels(
@@ -110,7 +110,7 @@ def propagate_labels(
     if groups is not None:
         check_array("groups", groups, torch.int32, (None,), "[L]")
     arguments = (markers, colors, boundary, float(color_weight), float(boundary_weight), min_markers, groups)
-    return call(torch.ops.torchjoint.propagate_labels.default, *arguments)
+    return call("propagate_labels", *arguments)
 
 
 register_fakes(

@@ -49,7 +49,7 @@ def integrate_depth(
     """
     check_number("far", far, (int, float))
     camera = (intrinsics, world_to_camera, voxel_size, truncation, far)
-    call(torch.ops.torchjoint.integrate_depth.default, sums, row, block, depth, color, *camera)
+    call("integrate_depth", sums, row, block, depth, color, *camera)
 
 
 # Steps 1 and 5: images, and the edges of the graph in them
@@ -81,7 +81,7 @@ def structured_forest(
         ``[B, H, W]`` float32, >= 0.
     """
     trees = (children, features, thresholds, boundary_counts, boundary_pixels, trees_per_site)
-    return call(torch.ops.torchjoint.structured_forest.default, images, *trees, stride)
+    return call("structured_forest", images, *trees, stride)
 
 
 def window_overlaps(
@@ -103,8 +103,7 @@ def window_overlaps(
         ``edge`` ``[S]`` int64, the edges with two visible ends and a labelled pixel in both windows; ``overlap``
         ``[S]`` float64 in [0, 1]. In the order of ``point``, then of ``order``.
     """
-    visible = (order, other_end, start, point, row, column)
-    return call(torch.ops.torchjoint.window_overlaps.default, *visible, labels, window)
+    return call("window_overlaps", order, other_end, start, point, row, column, labels, window)
 
 
 def line_maxima(
@@ -120,8 +119,7 @@ def line_maxima(
         ``edge`` ``[S]`` int64, the edges with two visible ends; ``maximum`` ``[S]`` uint8. In the order of ``point``,
         then of ``order``.
     """
-    visible = (order, other_end, start, point, row, column)
-    return call(torch.ops.torchjoint.line_maxima.default, *visible, image)
+    return call("line_maxima", order, other_end, start, point, row, column, image)
 
 
 # Step 6, method learned
@@ -154,7 +152,7 @@ def boosted_trees(
     dtypes = (torch.float64, torch.bool, torch.int32, torch.int32, torch.float64)
     for name, value, dtype in zip(names, trees[1:], dtypes, strict=True):  # trees come from users' files
         check_array(name, value, dtype, tuple(feature.shape), f"[T, M] = {list(feature.shape)}")
-    return call(torch.ops.torchjoint.boosted_trees.default, values, *trees)
+    return call("boosted_trees", values, *trees)
 
 
 def agreement_sums(
@@ -184,7 +182,7 @@ def agreement_sums(
         the resolution; sum of their squares; number of images that see both.
     """
     seen = (region, segment, num_points, segment_size, frame_of_segment, num_regions)
-    return call(torch.ops.torchjoint.agreement_sums.default, *seen, pairs, min_points, resolution)
+    return call("agreement_sums", *seen, pairs, min_points, resolution)
 
 
 def region_planes(
@@ -204,7 +202,7 @@ def region_planes(
         ``[N, 3]`` float32, the mean of the points in the region; ``[N, 3]`` float32, the normal, of unit length if it
         is fitted.
     """
-    return call(torch.ops.torchjoint.region_planes.default, points, neighbors, region, normals, min_points)
+    return call("region_planes", points, neighbors, region, normals, min_points)
 
 
 def mask_merges(
@@ -242,8 +240,7 @@ def mask_merges(
     if stays is None:
         stays = torch.zeros(len(size), dtype=torch.bool)
     masks = (in_mask, in_frame, weight, frame_of_mask, apart_weight, prior_weight)
-    kernel = torch.ops.torchjoint.mask_merges.default
-    return call(kernel, edge_index, cost, count, size, *masks, threshold, stays, min_size)
+    return call("mask_merges", edge_index, cost, count, size, *masks, threshold, stays, min_size)
 
 
 # Step 6, method scan
@@ -263,7 +260,7 @@ def local_spacing(points: Tensor, reach: Tensor, share: float, count: int) -> Te
         ``[N]`` float64 metres: 0 if the mean distance is at most ``share * reach``, infinite if it is more than
         ``reach`` or if there are too few points.
     """
-    return call(torch.ops.torchjoint.local_spacing.default, points, reach, share, count)
+    return call("local_spacing", points, reach, share, count)
 
 
 def gap_components(
@@ -286,7 +283,7 @@ def gap_components(
     Returns:
         ``[N]`` int64 labels 0, 1, ... in the order of their first points.
     """
-    return call(torch.ops.torchjoint.gap_components.default, points, gap, neighbors, used, min_size, joining)
+    return call("gap_components", points, gap, neighbors, used, min_size, joining)
 
 
 def ground_heights(
@@ -315,7 +312,7 @@ def ground_heights(
         ``[N]`` float64 metres above the sensor, the ground at each point.
     """
     seen, numbers = (azimuth, elevation, distance, height, used), (row_height, slope, step, bump, near, blind)
-    return call(torch.ops.torchjoint.ground_heights.default, *seen, num_columns, *numbers, sides)
+    return call("ground_heights", *seen, num_columns, *numbers, sides)
 
 
 def has_points_above(
@@ -336,8 +333,7 @@ def has_points_above(
     """
     check_number("least", least, (int, float))
     check_number("most", most, (int, float))
-    grid = (column, row, height, used, which, num_columns, num_rows)
-    return call(torch.ops.torchjoint.has_points_above.default, *grid, least, most)
+    return call("has_points_above", column, row, height, used, which, num_columns, num_rows, least, most)
 
 
 # Steps 7 and 8
@@ -360,7 +356,7 @@ def pair_counts(
         ``group`` ``[4, G]`` int64, rows lower segment, higher segment, lower label, higher label, in ascending order;
         and ``count`` ``[G]`` int64, the number of pairs in each group.
     """
-    return call(torch.ops.torchjoint.pair_counts.default, u, v, pixel, segment, label, radius)
+    return call("pair_counts", u, v, pixel, segment, label, radius)
 
 
 def segment_graphs(
@@ -385,8 +381,7 @@ def segment_graphs(
         then down, down-right and up-right, in the order of their first nodes; ``edge_ptr`` ``[C + 1]`` int64, likewise;
         ``relative_weight`` ``[e]`` float64, 0 if the mean is 0.
     """
-    kernel = torch.ops.torchjoint.segment_graphs.default
-    return call(kernel, labels, chosen, colors, boundary, color_weight, boundary_weight)
+    return call("segment_graphs", labels, chosen, colors, boundary, color_weight, boundary_weight)
 
 
 def outvoted_markers(markers: Tensor, colors: Tensor, color_weight: float, num_voters: int, near: float) -> Tensor:
@@ -406,7 +401,7 @@ def outvoted_markers(markers: Tensor, colors: Tensor, color_weight: float, num_v
     Returns:
         ``[H, W]`` bool.
     """
-    return call(torch.ops.torchjoint.outvoted_markers.default, markers, colors, color_weight, num_voters, near)
+    return call("outvoted_markers", markers, colors, color_weight, num_voters, near)
 
 
 # The shapes and dtypes of the results, for torch.compile

@@ -49,7 +49,7 @@ def nearest_neighbors(
     check_number("num_distances", num_distances, (int,))
     if limits is not None:
         check_array("limits", limits, torch.float64, (len(points),), f"[N] = [{len(points)}]")
-    return call(torch.ops.torchjoint.nearest_neighbors.default, points, count, num_distances, limits)
+    return call("nearest_neighbors", points, count, num_distances, limits)
 
 
 def neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
@@ -79,7 +79,7 @@ def neighbor_edges(neighbors: Tensor, order: Tensor | None = None) -> Tensor:
     """
     check_neighbors(neighbors, None)
     check_order(order, neighbors.shape[0])
-    return call(torch.ops.torchjoint.neighbor_edges.default, neighbors, order)
+    return call("neighbor_edges", neighbors, order)
 
 
 def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) -> Tensor:
@@ -116,7 +116,7 @@ def fit_normals(points: Tensor, neighbors: Tensor, order: Tensor | None = None) 
     check_array("points", points, FLOATING, (None, 3), "[N, 3]")
     check_neighbors(neighbors, points.shape[0])
     check_order(order, points.shape[0])
-    return call(torch.ops.torchjoint.fit_normals.default, points, neighbors, order)
+    return call("fit_normals", points, neighbors, order)
 
 
 def project(
@@ -165,7 +165,7 @@ def project(
     check_number("height", height, (int,))
     check_number("width", width, (int,))
     camera = (camera_from_world, intrinsics, float(near), float(far), height, width, float(margin))
-    return call(torch.ops.torchjoint.project.default, points, *camera)
+    return call("project", points, *camera)
 
 
 def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, height: int, width: int) -> Tensor:
@@ -202,7 +202,7 @@ def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, heigh
         check_array(name, value, dtype, (row.shape[0],), f"[M] = [{row.shape[0]}]")
     check_number("height", height, (int,))
     check_number("width", width, (int,))
-    return call(torch.ops.torchjoint.splat_depth.default, row, column, depth, reach, height, width)
+    return call("splat_depth", row, column, depth, reach, height, width)
 
 
 def _nearest_neighbors(points: Tensor, count: int, num_distances: int, *_: object) -> tuple[Tensor, Tensor]:
