@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from torchjoint import ops
-from torchjoint.cloud.batch import split_batch, without_invalid
+from torchjoint.cloud.batch import Batch, split_batch, without_invalid
 from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometric_weights, segmentator_turn
 from torchjoint.cloud.graph import undirected_edges
 from torchjoint.cloud.local import LocalFrame, composed, warn_of_rounding, without_copies
@@ -114,45 +114,34 @@ def superpoints(
     """
     given: list[Any] = [points, colors, normals, edges, faces, ptr, viewpoint]
     given = [as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given]
-    valid = None
-    if drop_invalid or _has_beams(*given):
-        valid, given = without_invalid("drop" if drop_invalid else "keep", *given)
-    labels = _segment_batch(*given, preset=preset, parameters=parameters)
+    batch, valid = Batch(*given), None
+    if drop_invalid or _has_beams(batch):
+        valid, batch = without_invalid(batch, "drop" if drop_invalid else "keep")
+    labels = _segment_batch(batch, preset, parameters)
     if valid is not None:
         labels = torch.full((len(valid),), -1).masked_scatter_(valid, labels)
     return labels.numpy() if isinstance(points, np.ndarray) else labels
 
 
-def _has_beams(points: Any, _colors: Any, _normals: Any, edges: Any, faces: Any, *_: Any) -> bool:
+def _has_beams(batch: Batch) -> bool:
     """Whether a cloud without a graph has beams without return."""
-    is_cloud = isinstance(points, Tensor) and points.ndim == 2 and edges is None and faces is None
-    return is_cloud and bool(without_return(points).any())
+    points: object = batch.points
+    is_cloud = isinstance(points, Tensor) and points.ndim == 2 and batch.edges is None and batch.faces is None
+    return is_cloud and bool(without_return(batch.points).any())
 
 
-def _segment_batch(
-    points: Tensor,
-    colors: Tensor | None,
-    normals: Tensor | None,
-    edges: Tensor | None,
-    faces: Tensor | None,
-    ptr: Tensor | None,
-    viewpoint: Tensor | None,
-    *,
-    preset: str | SuperpointsConfig,
-    parameters: SuperpointsParameters,
-) -> Tensor:
+def _segment_batch(batch: Batch, preset: str | SuperpointsConfig, parameters: SuperpointsParameters) -> Tensor:
     """:func:`superpoints` of tensors."""
     config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
     config = config.replace(parameters)
-    if colors is None:
+    if batch.colors is None:
         if parameters.get("color_weight"):  # an explicit argument, not a part of a preset
             raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
         config = config.replace({"color_weight": 0.0})
-    if edges is not None and faces is not None:
+    if batch.edges is not None and batch.faces is not None:
         raise ValueError("edges: expected edges or faces, got both")
     with torch.no_grad(), one_thread_per_operation():
-        clouds = split_batch(Cloud.checked(points, colors, normals), edges, faces, ptr, viewpoint)
-        labels = parallel_map(lambda cloud: _segment(cloud, config), clouds)
+        labels = parallel_map(lambda cloud: _segment(cloud, config), split_batch(batch))
         offset = 0
         for part in labels:
             part += offset

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,26 +12,25 @@ from torchjoint.scene import Cloud
 from torchjoint.scene.checks import Beams, Invalid, kept_points
 
 
-def split_batch(
-    batch: Cloud, edges: Tensor | None, faces: Tensor | None, ptr: Tensor | None, viewpoint: Tensor | None
-) -> list[Cloud]:
-    """Splits a batch into its clouds, each with its own point numbers.
+class Batch(NamedTuple):
+    """The tensors that :func:`torchjoint.superpoints` was given, not checked yet."""
 
-    Args:
-        batch: points, colours and normals of all clouds.
-        edges: [2, E] integers, edges of all clouds in any order, in point numbers of the batch.
-        faces: [F, 3] integers, triangles of all clouds in any order, in point numbers of the batch.
-        ptr: [B + 1] integers, the start of each cloud, and N; None = one cloud.
-        viewpoint: [3], [B, 3] or [N, 3] metres, position of the sensor for all clouds, per cloud, or per point.
+    points: Tensor  #: [N, 3] metres
+    colors: Tensor | None
+    normals: Tensor | None
+    edges: Tensor | None  #: [2, E] integers, edges of all clouds in any order, in point numbers of the batch
+    faces: Tensor | None  #: [F, 3] integers, triangles of all clouds in any order, in point numbers of the batch
+    ptr: Tensor | None  #: [B + 1] integers, the start of each cloud, and N; None = one cloud
+    viewpoint: Tensor | None  #: [3], [B, 3] or [N, 3] metres, of the sensor for all clouds, per cloud, or per point
 
-    Returns:
-        the B clouds, in order.
-    """
-    num_points = len(batch.points)
-    starts = _checked_ptr(ptr, num_points)
-    all_edges = _split(_checked_nodes("edges", edges, num_points), starts, "edges")
-    all_faces = _split(_checked_nodes("faces", faces, num_points), starts, "faces")
-    views = _views(viewpoint, starts)
+
+def split_batch(given: Batch) -> list[Cloud]:
+    """Splits a batch into its clouds, each with its own point numbers, in order."""
+    batch, num_points = Cloud.checked(given.points, given.colors, given.normals), len(given.points)
+    starts = _checked_ptr(given.ptr, num_points)
+    all_edges = _split(_checked_nodes("edges", given.edges, num_points), starts, "edges")
+    all_faces = _split(_checked_nodes("faces", given.faces, num_points), starts, "faces")
+    views = _views(given.viewpoint, starts)
     return [
         Cloud(
             batch.points[start:end],
@@ -45,26 +44,17 @@ def split_batch(
     ]
 
 
-def without_invalid(
-    invalid: Invalid,
-    points: Tensor,
-    colors: Tensor | None,
-    normals: Tensor | None,
-    edges: Tensor | None,
-    faces: Tensor | None,
-    ptr: Tensor | None,
-    viewpoint: Tensor | None,
-) -> tuple[Tensor, list[Tensor | None]]:
+def without_invalid(batch: Batch, invalid: Invalid) -> tuple[Tensor, Batch]:
     """A batch without the points that are NaN or infinite, beams without return, and edges and triangles to them.
 
     Args:
+        batch: as it was given.
         invalid: what becomes of points that are NaN or infinite.
-        points: [N, 3] metres.
-        colors, normals, edges, faces, ptr, viewpoint: as of :func:`torchjoint.superpoints`.
 
     Returns:
-        which points are kept, [N] bool; and all arguments, in order, without the others.
+        which points are kept, [N] bool; and the batch without the others.
     """
+    points, colors, normals, edges, faces, ptr, viewpoint = batch
     if not isinstance(points, Tensor):
         raise TypeError(f"points: expected a torch.Tensor, got {type(points).__name__}")
     if points.ndim != 2:
@@ -82,7 +72,7 @@ def without_invalid(
     colors, normals, viewpoint = (
         of[valid] if isinstance(of, Tensor) and of.shape == points.shape else of for of in (colors, normals, viewpoint)
     )
-    return valid, [points[valid], colors, normals, edges, None if faces is None else faces.T, ptr, viewpoint]
+    return valid, Batch(points[valid], colors, normals, edges, None if faces is None else faces.T, ptr, viewpoint)
 
 
 def _checked_ptr(ptr: Tensor | None, num_points: int) -> list[int]:
