@@ -111,7 +111,7 @@ def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys)
             assert len(tj.load_result(folder).points) == len(result.labels)
             served.append(folder)
 
-    monkeypatch.setattr("torchjoint.cli.live.growing_view", lambda now: Page() if now else None)
+    monkeypatch.setattr("torchjoint.cli.live.growing_view", Page)
     monkeypatch.setattr("torchjoint.cli.live.serve_until_interrupted", served.append)
     options = ("--voxel-size", "0.05", "--show")
     run("live", recording, "-o", tmp_path / "out", *options)

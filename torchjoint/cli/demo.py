@@ -28,7 +28,7 @@ def demo(
         overwrite: replace OUT if it is an earlier result.
         show: show the run, and then the result, in the browser, as `torchjoint segment --show` does.
     """
-    view = live_view(show)
+    view = live_view() if show else None
     say(f"segmenting {RECORDING}", flush=True)
     with printed_log():
         segmented = segmented_and_told(RECORDING, out, parameters, RecordingOptions(), overwrite=overwrite, watch=view)

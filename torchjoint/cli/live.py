@@ -81,7 +81,7 @@ def live(
         check_apart(out, rerun, "--rerun")
     log_file = None if rerun is None else output_file(rerun, overwrite, (scene,), "--rerun")
     config = parameters.config(out)
-    view = growing_view(show)
+    view = growing_view() if show else None
     segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
     logged = nullcontext() if log_file is None else _logged(log_file)
     key, inputs = f"live {scene.absolute()}", (scene, *map(Path, model_checksums(config)))

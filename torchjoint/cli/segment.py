@@ -54,15 +54,15 @@ def segment(
         show: show the run in the browser: first the labels so far, which change with each frame, then the result, as
             `torchjoint show` does.
     """
-    out, view = out or Path(f"{scene.resolve().stem}-result"), live_view(show)
+    out, view = out or Path(f"{scene.resolve().stem}-result"), live_view() if show else None
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
         of_masks = {"masks": masks, "without_masks": without_masks}
         of_run = {"overwrite": overwrite, "memory": memory, "engine": workers, "watch": view}
         segmented = segmented_and_told(scene, out, parameters, reading.options(), **of_masks, **of_run)
     if segmented is not None:
         show_result(out, view, segmented.segmenter, segmented.scene)
-        is_labelled = scene.suffix.lower() in (".ply", *las.SUFFIXES)
-        for file in [] if view else [scene] if is_labelled else sorted(out.glob("cloud-*mm.ply")):
+        file = scene if scene.suffix.lower() in (".ply", *las.SUFFIXES) else next(out.glob("cloud-*mm.ply"), None)
+        if view is None and file is not None:
             say(f"torchjoint label {out} {file} -o labelled{file.suffix}: its labels in that file")
 
 

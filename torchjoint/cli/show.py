@@ -85,19 +85,15 @@ def show(
         _serve(result, out if is_folder else None, encoder, open_browser, **view)
 
 
-def live_view(now: bool) -> LiveView | None:
-    """Shows a run from its start if `now` is True; otherwise returns None."""
-    if not now:
-        return None
+def live_view() -> LiveView:
+    """A page that shows a run from its start."""
     from torchjoint.viewer.live import LiveView
 
     return LiveView(_open_page)
 
 
-def growing_view(now: bool) -> GrowingView | None:
-    """A page for live segmentation if `now` is True; otherwise None."""
-    if not now:
-        return None
+def growing_view() -> GrowingView:
+    """A page for live segmentation."""
     from torchjoint.viewer.live import GrowingView
 
     return GrowingView(_open_page)

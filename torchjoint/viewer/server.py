@@ -140,6 +140,7 @@ class Eyes:
     def forget(self, client: Any) -> bool:
         """Forgets a page that was closed; whether it stood at a camera."""
         self._fitted.pop(client.client_id, None)
+        self._arrived.discard(client.client_id)
         return self._standing.pop(client.client_id, None) is not None
 
     def follow(self, client: Any, scene: Scene) -> bool:

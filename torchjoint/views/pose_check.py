@@ -329,19 +329,14 @@ def frames_to_check(scene: Scene) -> dict[int, Frame]:
 def _agreement(cloud: Cloud, spacing: Tensor, frame: Frame, pose: Tensor, config: VisibilityConfig) -> PoseAgreement:
     in_view = project(cloud.points, frame.intrinsics, pose, frame.size).point.shape[0] / len(cloud.points)
     visible = visible_points(cloud.points, spacing, frame.intrinsics, pose, frame.size, config)
-    if not visible.z.numel():
-        return PoseAgreement(in_view)
-    depth_residual = torch.nan
+    row, column = visible.row, visible.column
+    depth_residual, colors = torch.nan, ColorAgreement()
     if frame.depth is not None:
-        depth = frame.depth[visible.row, visible.column]
-        known = depth > 0
-        if known.any():
-            depth_residual = ((visible.z - depth).abs() / depth)[known].median().item()
-    if cloud.colors is None:
-        return PoseAgreement(in_view, depth_residual)
-    return PoseAgreement(
-        in_view, depth_residual, *color_agreement(cloud.colors[visible.point], frame.image, visible.row, visible.column)
-    )
+        depth = frame.depth[row, column]
+        depth_residual = ((visible.z - depth).abs() / depth)[depth > 0].median().item()
+    if cloud.colors is not None:
+        colors = color_agreement(cloud.colors[visible.point], frame.image, row, column)
+    return PoseAgreement(in_view, depth_residual, *colors)
 
 
 def _combined(rows: list[PoseAgreement]) -> PoseAgreement:

@@ -103,8 +103,7 @@ def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
     tell_unlisted(str(model), files)
     names = frame_names([image.name for image in images])
     parts = zip(files, images, names, strict=True)
-    shots = [Shot(file, image.camera, image.world_to_camera, name) for file, image, name in parts]
-    return read_shots(shots)
+    return read_shots([image._replace(color=file, name=name) for file, image, name in parts])
 
 
 def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:
@@ -114,14 +113,6 @@ def _image_folder(bases: Sequence[Path], name: str, source: str) -> Path:
             return folder
     places = ", ".join(str(folder) for folder in folders)
     raise FileNotFoundError(f"{source}: its image {name!r} is missing; looked for it in {places}")
-
-
-class ColmapImage(NamedTuple):
-    """An image with its camera and pose."""
-
-    name: str  #: relative to the image folder
-    camera: Camera
-    world_to_camera: Tensor  #: [4, 4] float64
 
 
 class _Row(NamedTuple):
@@ -149,7 +140,7 @@ def _suffix(folder: Path) -> str | None:
     return next((kind for least in (3, 2) for kind, has in found.items() if all(has[:least])), None)
 
 
-def read_images(folder: Path) -> list[ColmapImage]:
+def read_images(folder: Path) -> list[Shot]:
     """Returns the images of a model, sorted by name."""
     cameras_file, cameras = _read(folder, "cameras", _cameras_of_binary, _cameras_of_text)
     images_file, rows = _read(folder, "images", _images_of_binary, _images_of_text)
@@ -163,7 +154,8 @@ def read_images(folder: Path) -> list[ColmapImage]:
             raise ValueError(f"{images_file}: image {row.name!r} is of camera {row.camera}, which {cameras_file} lacks")
     numbers = np.array([row.pose for row in rows])
     poses = poses_from_quaternions(numbers[:, [1, 2, 3, 0]], numbers[:, 4:], str(images_file))
-    return [ColmapImage(row.name, cameras[row.camera], pose) for row, pose in zip(rows, poses, strict=True)]
+    images = zip(rows, poses, strict=True)
+    return [Shot(Path(row.name), cameras[row.camera], pose, row.name) for row, pose in images]
 
 
 def read_points(folder: Path, invalid: Invalid) -> tuple[Tensor, Tensor]:

@@ -24,7 +24,7 @@ from pathlib import Path
 
 from torchjoint.datasets.cameras import Camera, world_to_camera
 from torchjoint.datasets.files.text import read_record
-from torchjoint.datasets.formats.colmap import ColmapImage, read_images
+from torchjoint.datasets.formats.colmap import read_images
 from torchjoint.datasets.formats.nerfstudio import read_camera
 from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_lost, tell_unlisted
 from torchjoint.datasets.truth import point_instances
@@ -103,14 +103,14 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
     return frames
 
 
-def _read_shots(file: Path) -> list[ColmapImage]:
+def _read_shots(file: Path) -> list[Shot]:
     """The poses of ARKit."""
     values, shots = read_record(file, "poses of an iPhone"), []
     for name in sorted(values.values):
         frame = values.record(name)
         pose = world_to_camera(frame.matrix("aligned_pose", 4), f"{frame.name}: aligned_pose")
         camera = Camera(frame.matrix("intrinsic", 3), PHONE_SIZE, name=frame.name)
-        shots.append(ColmapImage(f"{name}.jpg", camera, pose))
+        shots.append(Shot(Path(f"{name}.jpg"), camera, pose, f"{name}.jpg"))
     if not shots:
         raise ValueError(f"{file}: expected poses of frames, got none")
     return shots

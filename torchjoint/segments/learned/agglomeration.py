@@ -81,11 +81,6 @@ class Regions:
     graph: SuperpointGraph
     of_superpoint: Tensor
 
-    @classmethod
-    def of_superpoints(cls, superpoints: SuperpointGraph) -> Regions:
-        """Each superpoint is a region."""
-        return cls(superpoints, torch.arange(len(superpoints)))
-
     def merged(self, pairs: Tensor) -> Regions:
         """The regions after merging pairs [2, M]."""
         group = ops.connected_components(pairs, len(self.graph))
@@ -108,7 +103,7 @@ def build_hierarchy(superpoints: SuperpointGraph, model: MergingModel) -> Hierar
 
 def merge_superpoints(superpoints: SuperpointGraph, steps: Sequence[Step], judge: Judge) -> Hierarchy:
     """As :func:`build_hierarchy`, with any probabilities, and with these of the steps of :func:`merging_steps`."""
-    merges, regions = Merges(len(superpoints)), Regions.of_superpoints(superpoints)
+    merges, regions = Merges(len(superpoints)), Regions(superpoints, torch.arange(len(superpoints)))
     last, highest = steps[-1]
     default, *coarser = last_levels([highest], superpoints)
     above = [(last, threshold) for threshold in coarser]

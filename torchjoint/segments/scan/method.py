@@ -93,9 +93,7 @@ def scan_gaps(points: Tensor, config: ScanConfig, rings: GivenRings) -> tuple[Ga
     points = as_points(points).float()
     seen, height = directions(points), points[:, 2].double()
     if len(points) and (away := float(seen.range.min())) > FAR:
-        told = (
-            f"method scan expects the sensor at the origin, {away:.3g} m from here: subtract its place from the points"
-        )
+        told = f"method scan expects the sensor at the origin, {away:.3g} m from here: subtract its place"
         warnings.warn(told, stacklevel=2)
     gap = config.gap + config.gap_growth * seen.range
     with all_threads():
