@@ -60,6 +60,7 @@ def test_help_behind_an_argument_is_that_of_the_command(run, capsys):
     assert "usage: torchjoint edits [-h] {import} RESULT FILE" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_closed_streams(tmp_path):
     """With `>&- 2>&-` Python has no streams, and files that a program opens would get their numbers."""
     np.savetxt(tmp_path / "a.xyz", np.random.default_rng(0).random((500, 3)))

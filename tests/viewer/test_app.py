@@ -155,6 +155,7 @@ print("end", flush=True)
 """
 
 
+@pytest.mark.slow
 def test_a_program_that_opened_a_page_ends(out):
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(out)], capture_output=True, text=True, timeout=300, check=False
