@@ -15,6 +15,7 @@ from PIL import Image
 import torchjoint as tj
 from torchjoint.masks.folder import frame_names
 from torchjoint.runtime.threads import LazySequence
+from torchjoint.scene.frame import PoseDoubt
 
 SIZE = 6, 8
 
@@ -276,7 +277,8 @@ class TestCommand:
         for name in names[1:]:
             write_labels(tmp_path / "masks" / f"{name}.png", (60, 80))
         out = tmp_path / "out"
-        with pytest.warns(UserWarning, match=f"1 of 3 frames have none and are left out: {names[0]}"):
+        left_out = f"1 of 3 frames have none and are left out: {names[0]}"
+        with pytest.warns(UserWarning, match=left_out), pytest.warns(PoseDoubt, match="borders of masks"):
             run("segment", recording, "-o", out, "--masks", tmp_path / "masks", "--without-masks", "leave-out")
         assert sorted(file.stem for file in (out / "images").glob("*.png")) == names[1:]
         with pytest.raises(SystemExit, match=r"-o: expected another path than the input's, .*masks, got"):

@@ -50,6 +50,27 @@ def messages(scene):
     return [str(one.message) for one in caught]
 
 
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda labels: labels, False),
+        (lambda labels: labels[1:] + labels[:1], True),
+        (lambda labels: [one.flip(0, 1) for one in labels], True),
+        (lambda labels: [one.roll(16, dims=1) for one in labels], True),
+    ],
+)
+@pytest.mark.parametrize("kind", ["labels", "masks"])
+def test_masks_of_other_images_are_told(scene_of, change, told, kind):
+    synthetic = scene_of(0)
+    given = change(list(synthetic.image_labels))
+    if kind == "masks":
+        given = [tj.masks.from_labels(one) for one in given]
+    pairs = zip(synthetic.scene.frames, given, strict=True)
+    frames = [dataclasses.replace(frame, **{kind: one}) for frame, one in pairs]
+    found = messages(dataclasses.replace(synthetic.scene, frames=frames))
+    assert [one.endswith("mirrored or turned?") for one in found] == [True] * told
+
+
 def turned(scene, right, down=0.0):
     """The scene with its cameras turned, degrees."""
     angles = math.radians(right), math.radians(down)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.nn.functional import adaptive_max_pool2d, max_pool2d
 
 from torchjoint.cloud.local import LocalFrame
 from torchjoint.config import VisibilityConfig
@@ -20,6 +21,7 @@ from torchjoint.images.contours import smooth
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Scene
 from torchjoint.scene.frame import CONVENTIONS, PoseDoubt, PoseWarning
+from torchjoint.scene.masks import Masks
 from torchjoint.scene.scene import evenly_spaced_indices
 from torchjoint.views.visibility import Projection, project, visible_points
 
@@ -111,8 +113,8 @@ class EdgeAlignment(NamedTuple):
     """Agreement of depth edges and image edges, mean over the frames.
 
     Attributes:
-        correlation: correlation of depth jumps and image edges at the given pose, -1 to 1.
-        significance: (correlation - mean correlation with shifted images) / standard deviation of the latter.
+        correlation: correlation of depth jumps and image edges at the given pose, -1 to 1; of masks: mean strength.
+        significance: (correlation - its mean with shifted images) / standard deviation of the latter.
     """
 
     correlation: float
@@ -147,14 +149,36 @@ def edge_correlations(cloud: Cloud, frame: Frame, spacing: Tensor, config: Visib
     edges, scale = _image_edges(frame.image)
     if edges is None:
         return None
-    row, column, jump = _depth_jumps(projection, scale)
+    return _under_shifts(edges, *_depth_jumps(projection, scale))
+
+
+def border_strengths(segments: Tensor, image: Tensor) -> Tensor | None:
+    """Mean strength of image edges at the borders of segments [H, W], without shift and under EDGE_SHIFTS.
+
+    Returns:
+        [1 + number of EDGE_SHIFTS] float64; None: too few borders, or the image is blank.
+    """
+    edges, _ = _image_edges(image)
+    if edges is None:
+        return None
+    around = segments.float()[None]
+    differs = max_pool2d(around, 3, 1, 1) != -max_pool2d(-around, 3, 1, 1)
+    border = adaptive_max_pool2d(differs.float(), [side // 2 for side in edges.shape])[0]  # of every second pixel
+    row, column = 2 * torch.nonzero(border).T + 1
+    return _under_shifts(edges, row, column, torch.ones_like(row), lambda strength, _: strength.mean())
+
+
+def _under_shifts(
+    edges: Tensor, row: Tensor, column: Tensor, jump: Tensor, measure: Callable[[Tensor, Tensor], Tensor] = correlation
+) -> Tensor | None:
+    """The measure of edges and jumps, without shift and under EDGE_SHIFTS; None: too few jumps."""
     rows = []
     for down, right in [(0, 0), *EDGE_SHIFTS]:
         there = (row + down, column + right)
         inside = (there[0] >= 0) & (there[0] < edges.shape[0]) & (there[1] >= 0) & (there[1] < edges.shape[1])
         if float(jump[inside].sum()) < MIN_JUMPS:
             return None
-        rows.append(correlation(edges[there[0][inside], there[1][inside]], jump[inside]))
+        rows.append(measure(edges[there[0][inside], there[1][inside]], jump[inside]))
     return torch.stack(rows)
 
 
@@ -199,6 +223,11 @@ CHECKED = (0, 1, 3, 7, 15, 31)
 
 #: An edge alignment with a lower significance counts as chance. Correct poses of LiDARs have 2.6 or more.
 CHANCE = 0.5
+
+#: Masks are wrong if the significance of their borders is lower than the first number, and the strength of the edges
+#: there, in local standard deviations, than the second. On 61 generated and 8 real scenes that is so for no right ones,
+#: and for 334 of 406 of other frames, mirrored, turned, or shifted by a twelfth of the width.
+MASK_CHANCE, MASK_STRENGTH = 2.0, 0.03
 
 #: Poses are wrong if depth images and cloud differ by more than this. On 34 generated scenes with depth, right poses
 #: have at most .027; poses in reversed order have .1 or more.
@@ -250,7 +279,8 @@ class _Look(NamedTuple):
     given: PoseAgreement
     others: dict[str, PoseAgreement]  #: with the poses read as in CONVENTIONS
     off_center: float
-    edges: Tensor | None
+    edges: Tensor | None  #: see edge_correlations
+    borders: Tensor | None  #: of its masks or labels, see border_strengths
 
 
 class PoseCheck:
@@ -300,10 +330,11 @@ class PoseCheck:
         found = _complaints(given, others, max(look.off_center for look in self._looks))
         with one_thread_per_operation():
             found |= _edge_complaints(combined([look.edges for look in self._looks if look.edges is not None]))
+            found |= _mask_complaints(combined([look.borders for look in self._looks if look.borders is not None]))
         for kind, message in found.items():
             if kind not in self._said:
                 self._said.add(kind)
-                category = PoseDoubt if kind in ("edges", "channels", "off center") else PoseWarning
+                category = PoseDoubt if kind in ("edges", "masks", "channels", "off center") else PoseWarning
                 warnings.warn(f"{self._name}: {message}", category, stacklevel=4)
         return given
 
@@ -318,7 +349,9 @@ class PoseCheck:
         if math.isnan(given.depth_residual) and math.isnan(given.color_residual):  # no other check finds small errors
             local = replace(frame, world_to_camera=self._local.pose(frame.world_to_camera))
             edges = edge_correlations(self._cloud, local, self._spacing, self._config)
-        return _Look(given, dict(zip(CONVENTIONS, others, strict=True)), _off_center(frame), edges)
+        segments = frame.masks.atom if isinstance(frame.masks, Masks) else frame.labels
+        borders = None if segments is None else border_strengths(segments, frame.image)
+        return _Look(given, dict(zip(CONVENTIONS, others, strict=True)), _off_center(frame), edges, borders)
 
 
 def frames_to_check(scene: Scene) -> dict[int, Frame]:
@@ -359,6 +392,16 @@ def _edge_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
         "edges": "image edges coincide with depth jumps of the points no more than by chance (correlation "
         f"{alignment.correlation:.2f}, {alignment.significance:+.1f} standard deviations from that of shifted images; "
         "right poses have +2.6 and more): wrong extrinsics or intrinsics?"
+    }
+
+
+def _mask_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
+    if alignment is None or alignment.significance >= MASK_CHANCE or alignment.correlation >= MASK_STRENGTH:
+        return {}
+    return {
+        "masks": "edges of the images are no stronger at the borders of masks or labels than elsewhere "
+        f"({alignment.significance:+.1f} standard deviations from shifted images): are they of other images, mirrored "
+        "or turned?"
     }
 
 
