@@ -158,12 +158,11 @@ def write_result(
 
 
 def _remove_earlier(folder: Path) -> None:
-    """Deletes the files of an interrupted run: with other parameters it may have written other files."""
-    files = "points.ply", "points.npz", HIERARCHY, CAMERAS, "overview.png", "run.yaml", MANIFEST, "embeddings.npz"
-    for name in files:
-        (folder / name).unlink(missing_ok=True)
-    for name in ("images", SUPERPOINTS):
-        shutil.rmtree(folder / name, ignore_errors=True)
+    """Deletes the parts of an interrupted run: with other parameters it may have written other files."""
+    for path in (
+        folder / part for part in PARTS if part != EDITS
+    ):  # the name of the fused cloud is a pattern: it stays
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def read_points(folder: Path) -> PointResult:
@@ -221,16 +220,6 @@ def read_run(folder: Path, parse: Callable[[Any], T]) -> T:
     return read_yaml(file, parse, "a record of a run")
 
 
-def read_config(folder: Path) -> Config:
-    """Reads the parameters of the run that made a result."""
-    return read_run(folder, lambda record: Config.from_dict(record["config"]))
-
-
-def read_source(folder: Path) -> str:
-    """Reads the path of the recording that was segmented; results of before have it as it was given to `segment`."""
-    return read_run(folder, lambda record: str(record["scene"]))
-
-
 def read_origin(folder: Path) -> Origin:
     """Reads what a result was made from."""
 
@@ -261,7 +250,6 @@ def _write_label_images(folder: Path, result: Segmentation) -> int:
     """Writes the label images; returns the largest label, or -1."""
     names = frame_files(result.names)
     no_twice(names, "frames: name")
-    shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
 
     def write(index: int) -> int:
@@ -330,7 +318,7 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
         result.images[0], result.at(0.3), result.crops(7, k=3)[0].image
     """
     folder = Path(folder)
-    stored, config = read_points(folder), read_config(folder)
+    stored, config = read_points(folder), read_origin(folder).config
     check = open_manifest(folder) if verify else unchecked
     segmentation = read_result(folder, check)
     if verify:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -152,7 +151,6 @@ def write_hierarchy(
         default=np.float64(hierarchy.default),
         **{name: array.numpy().astype(np.int32) for name, array in arrays.items()},  # type: ignore[arg-type]
     )
-    shutil.rmtree(folder / SUPERPOINTS, ignore_errors=True)
     if not len(superpoint_images):
         return
     (folder / SUPERPOINTS).mkdir()
