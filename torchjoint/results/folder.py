@@ -24,24 +24,12 @@ from tqdm import tqdm
 from torchjoint.config import Config, read_yaml
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_label_image
+from torchjoint.results import manifest
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.edits import read_edits
 from torchjoint.results.embeddings import read_embeddings
 from torchjoint.results.figures import overview
 from torchjoint.results.inputs import CAMERAS, read_inputs, read_names, write_inputs
-from torchjoint.results.manifest import FILE as MANIFEST
-from torchjoint.results.manifest import (
-    HIERARCHY,
-    PNG,
-    SUPERPOINTS,
-    Check,
-    open_manifest,
-    read_hierarchy,
-    read_superpoint_image,
-    unchecked,
-    write_hierarchy,
-    write_manifest,
-)
 from torchjoint.results.mask_report import frames_with_masks, names_of_masks
 from torchjoint.results.objects import write_segments
 from torchjoint.results.parts import Parts, edited
@@ -139,7 +127,7 @@ def write_result(
     bar.update()
     last_label = _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
-        write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.superpoint_images)
+        manifest.write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.superpoint_images)
     write_inputs(folder, scene, result)
     bar.update()
     scene = replace(scene, up=up_direction(scene))
@@ -147,9 +135,10 @@ def write_result(
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
     write_segments(folder, scene, result, names_of_masks(folder))
     bar.update()
-    overview(scene, result, names=frames_with_masks(folder)).savefig(folder / "overview.png", dpi=100, pil_kwargs=PNG)
+    picture = overview(scene, result, names=frames_with_masks(folder))
+    picture.savefig(folder / "overview.png", dpi=100, pil_kwargs=manifest.PNG)
     record = _run_record(scene, result, config, source, granularity, last_label) | dict(made or {})
-    write_manifest(folder, record)
+    manifest.write_manifest(folder, record)
     bar.update()
     bar.close()
     parts = dict(seconds or {}) | {"write": time.perf_counter() - start}
@@ -179,7 +168,7 @@ def read_points(folder: Path) -> PointResult:
         return PointResult(cloud.points, labels, cloud.colors)
 
 
-def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
+def read_result(folder: Path, check: manifest.Check = manifest.unchecked) -> Segmentation:
     """Reads a result, with all its levels if it has a hierarchy.
 
     Images are read, and checked, when they are used. Images and names are in the order of the names; initial images are
@@ -190,18 +179,19 @@ def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
     images = LazySequence(len(files), lambda index: read_label_image(check(files[index])) - 1)
     true = {file: name for name, file in read_names(folder).items()}
     names = tuple(true.get(file.stem, file.stem) for file in files)
-    if not has_file(folder / HIERARCHY):
+    if not has_file(folder / manifest.HIERARCHY):
         return Segmentation(labels, images, names=names)
-    hierarchy = read_hierarchy(folder, len(labels))
+    hierarchy = manifest.read_hierarchy(folder, len(labels))
     of_superpoint = torch.zeros(hierarchy.num_superpoints, dtype=torch.int64)
     of_superpoint[hierarchy.superpoint] = labels
     if not torch.equal(of_superpoint[hierarchy.superpoint], labels):
         raise ValueError(
-            f"{folder / HIERARCHY}: expected superpoints that lie inside one segment of points.npz, got others"
+            f"{folder / manifest.HIERARCHY}: expected superpoints that lie inside one segment of points.npz, got others"
         )
 
     def superpoints(index: int) -> Tensor:
-        return read_superpoint_image(check(folder / SUPERPOINTS / files[index].name), hierarchy.num_superpoints)
+        file = folder / manifest.SUPERPOINTS / files[index].name
+        return manifest.read_superpoint_image(check(file), hierarchy.num_superpoints)
 
     superpoint_images = LazySequence(len(files), superpoints)
     return Segmentation(labels, images, names=names, hierarchy=hierarchy, superpoint_images=superpoint_images)
@@ -260,7 +250,7 @@ def _write_label_images(folder: Path, result: Segmentation) -> int:
                 f"image segments: ids up to {last} do not fit 16-bit images (at most {MAX_LABEL}); "
                 "raise image_segments.min_size, or choose a lower granularity"
             )
-        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{names[index]}.png", **PNG)
+        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{names[index]}.png", **manifest.PNG)
         return last
 
     return max(parallel_map(write, range(len(names))), default=-1)
@@ -287,7 +277,7 @@ def _run_record(
         "thread_seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         "versions": versions,
         "config": config.to_dict(),
-        "manifest": MANIFEST,
+        "manifest": manifest.FILE,
     }
 
 
@@ -320,7 +310,7 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     """
     folder = Path(folder)
     stored, config = read_points(folder), read_origin(folder).config
-    check = open_manifest(folder) if verify else unchecked
+    check = manifest.open_manifest(folder) if verify else manifest.unchecked
     segmentation = read_result(folder, check)
     if verify:
         _check_counts(folder, segmentation)
