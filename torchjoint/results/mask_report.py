@@ -46,7 +46,6 @@ def write_mask_report(folder: Path, names: Sequence[str], found: Sequence[MaskMa
         names: of the frames.
         found: :func:`compare_masks` of each frame, None without masks.
     """
-    (folder / FILE).unlink(missing_ok=True)
     if not any(found):
         return
     frames: list[dict[str, Any]] = [
