@@ -1,7 +1,5 @@
 """torchjoint edits: brings corrections that were made in another program back into a result."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal

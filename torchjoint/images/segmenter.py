@@ -1,7 +1,5 @@
 """Steps 1 and 2 together: boundaries and initial labels of a batch of frames."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple

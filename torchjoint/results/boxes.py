@@ -3,8 +3,6 @@
 Their boxes turn about z alone, which must point up: they are those of a turned cloud if up in the scene is far from z.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

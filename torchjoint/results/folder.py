@@ -1,7 +1,5 @@
 """A result on disk (output after step 8): the folder that `torchjoint segment` writes and `torchjoint show` reads."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

@@ -3,8 +3,6 @@
 With them a result does not need the recording any more: its frames can be shown, cropped and exported.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

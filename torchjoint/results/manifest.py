@@ -3,8 +3,6 @@
 It says so if a file was changed, lost, or taken from another result. A result of version 0.1.0 has none.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What became of the masks of a network: masks.json in a result (output after step 8)."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Sequence

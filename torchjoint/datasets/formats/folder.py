@@ -10,8 +10,6 @@ cloud.ply                      the point cloud, also .pcd, .las, .laz or .e57 (o
 cloud.truth.npy                ground-truth instances of the points, integers [N]; -1 = void (optional)
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path

@@ -15,8 +15,6 @@ how many. The world is the root of the tree of tf, or the frame of the odometry.
 own poses, and thinned to one point per voxel.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence

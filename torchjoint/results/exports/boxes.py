@@ -3,8 +3,6 @@
 Labels of points for such a program are here, too; :mod:`torchjoint.results.shared_edits` reads them.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import warnings
