@@ -5,8 +5,6 @@ in the workers of a :class:`torch.utils.data.DataLoader`, forked or spawned. The
 gives each worker.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Mapping

@@ -62,7 +62,7 @@ def killed_run(out, steps, is_fixed):
         code = 1
         try:
             if is_fixed:
-                module.is_fixed = lambda path: True
+                outputs.is_fixed = lambda path: True
             sys.addaudithook(Killed(out.parent, steps))
             run(out)
             code = 0
@@ -86,7 +86,7 @@ def out(request, tmp_path, monkeypatch):
     folder.parent.mkdir()
     if request.param == "mount point":
         folder.mkdir()
-        monkeypatch.setattr(module, "is_fixed", lambda path: True)
+        monkeypatch.setattr(outputs, "is_fixed", lambda path: True)
     return folder
 
 
@@ -99,7 +99,7 @@ def test_killed_before_every_step(out, before, kill):
         module.shutil.rmtree(out, ignore_errors=True)
         out.mkdir()
         write(out, before)
-        if not kill(out, steps, module.is_fixed(out)):
+        if not kill(out, steps, outputs.is_fixed(out)):
             break
         run(out)
         assert content(out) == NEW, steps
@@ -115,10 +115,10 @@ def test_killed_again_while_it_finishes(out, kill):
     while True:
         module.shutil.rmtree(out, ignore_errors=True)
         write(out, OLD)
-        if not kill(out, steps, module.is_fixed(out)):
+        if not kill(out, steps, outputs.is_fixed(out)):
             break
         for more in (1, 3, 5):
-            kill(out, more, module.is_fixed(out))
+            kill(out, more, outputs.is_fixed(out))
         run(out)
         assert content(out) == NEW, steps
         assert list(out.parent.iterdir()) == [out], steps
@@ -169,7 +169,7 @@ def test_two_runs_at_once(out):
 
 
 def test_a_mount_point_keeps_what_is_not_ours(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "is_fixed", lambda path: True)
+    monkeypatch.setattr(outputs, "is_fixed", lambda path: True)
     out = tmp_path / "out"
     write(out, {"thesis.tex": "precious"})
     with pytest.raises(FileExistsError, match=r"which has a run\.yaml"):
@@ -178,10 +178,10 @@ def test_a_mount_point_keeps_what_is_not_ours(tmp_path, monkeypatch):
 
 
 def test_mount_points_and_read_only_folders_are_known(tmp_path, monkeypatch):
-    assert module.is_fixed(module.Path("/dev/shm"))  # a mount point on every Linux
-    assert not module.is_fixed(tmp_path)
+    assert outputs.is_fixed(module.Path("/dev/shm"))  # a mount point on every Linux
+    assert not outputs.is_fixed(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert module.is_fixed(tmp_path)
+    assert outputs.is_fixed(tmp_path)
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
@@ -290,14 +290,14 @@ def test_what_changes_in_a_result_while_a_run_works_stays(out, name):
 def test_what_appears_in_the_last_moment_stays(out, monkeypatch):
     """After the last check: the moves themselves replace nothing, and what was moved comes back or waits."""
     write(out, OLD)
-    move = module.move_new if module.is_fixed(out) else outputs.move_new
+    move = outputs.move_new
 
     def late(source, target):
         if target.name in ("out", "points.ply"):
             write(out, {"points.ply": "by hand"})
         move(source, target)
 
-    monkeypatch.setattr(module if module.is_fixed(out) else outputs, "move_new", late)
+    monkeypatch.setattr(outputs, "move_new", late)
     with pytest.raises(FileExistsError, match="was made or changed while this run worked, and is kept"):
         run(out)
     assert (out / "points.ply").read_text() == "by hand"

@@ -1,7 +1,5 @@
 """torchjoint batch: segments any number of recordings over many workers."""
 
-from __future__ import annotations
-
 import sys
 
 import tyro

@@ -1,7 +1,5 @@
 """torchjoint demo: segments the recording that comes with the package."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """torchjoint edits: brings corrections that were made in another program back into a result."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -9,18 +7,11 @@ from typing import Literal
 import numpy as np
 import tyro
 
+from torchjoint.results import shared_edits
 from torchjoint.results.boxes import read_boxes
 from torchjoint.results.edits import FILE, read_edits
 from torchjoint.results.folder import load_result, parts_of
 from torchjoint.results.parts import Parts, edited
-from torchjoint.results.shared_edits import (
-    edits_of_boxes,
-    edits_of_names,
-    edits_of_points,
-    read_names,
-    read_point_labels,
-    save_edits,
-)
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import check_no_input
 
@@ -48,12 +39,12 @@ def edits(
     parts = Parts(stored)
     before = read_edits(result, parts.count)
     told = f"{file}: is it of another result than {result}?"
-    labels, corrected = read_point_labels(file, len(stored.points)), edited(stored, before)
-    if (names := read_names(file, corrected)) is not None:
-        steps = edits_of_names(corrected, names, parts.of_point)
+    labels, corrected = shared_edits.read_point_labels(file, len(stored.points)), edited(stored, before)
+    if (names := shared_edits.read_names(file, corrected)) is not None:
+        steps = shared_edits.edits_of_names(corrected, names, parts.of_point)
         say(f"{len(steps)} names changed")
     elif labels is not None:
-        steps, others = edits_of_points(parts, before, labels)
+        steps, others = shared_edits.edits_of_points(parts, before, labels)
         if stored.hierarchy is not None and 2 * others > len(stored.points):
             raise ValueError(f"{told} {others} points have another label than most of their superpoint")
         kinds = [step.kind for step in steps]
@@ -65,7 +56,7 @@ def edits(
             say(f"{others} points stay with their superpoint, of which most points have another label")
     else:
         boxes = read_boxes(file)
-        steps, joined, named, empty, stayed = edits_of_boxes(corrected, boxes, parts.of_point)
+        steps, joined, named, empty, stayed = shared_edits.edits_of_boxes(corrected, boxes, parts.of_point)
         if len(empty) > max(1, len(boxes) / 2):
             raise ValueError(f"{told} {len(empty)} of {len(boxes)} boxes are those of no thing")
         say(f"{len(boxes)} boxes: {joined} things joined others, {named} names changed")
@@ -75,5 +66,5 @@ def edits(
             say(f"{len(empty)} boxes are those of no thing, such as box {empty[0]}; split in the viewer")
     if steps:
         steps = tuple(replace(step, granularity=before.granularity) for step in steps)
-        save_edits(result, replace(before, steps=before.steps + steps), before, parts)
+        shared_edits.save_edits(result, replace(before, steps=before.steps + steps), before, parts)
         say(result / FILE)

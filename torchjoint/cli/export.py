@@ -1,7 +1,5 @@
 """torchjoint export: writes a result in the format of another tool."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Literal

@@ -1,7 +1,5 @@
 """torchjoint label: puts the labels of a result into a cloud, a survey, a mesh or Gaussian splats."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """What a command says about its run."""
 
-from __future__ import annotations
-
 import logging
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """torchjoint segment: segments a recording and writes the result to a folder."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import nullcontext
 from pathlib import Path

@@ -22,7 +22,7 @@ from torch import Tensor
 from torchjoint.cli.arguments import output_file
 from torchjoint.datasets import load_scene
 from torchjoint.joint import JointSegmenter
-from torchjoint.results.folder import load_result, parts_of, read_source
+from torchjoint.results.folder import load_result, parts_of, read_origin
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.runtime.messages import say
@@ -126,7 +126,7 @@ def _read(out: Path, truth: bool) -> Result:
 
 def _scene_of(out: Path) -> Scene:
     """Reads the scene of a result; a fused cloud is taken from the result."""
-    recording = Path(read_source(out))
+    recording = Path(read_origin(out).scene)
     if not is_there(recording):
         raise FileNotFoundError(f"--truth: expected the recording of this result, {recording}; it does not exist")
     return load_scene(recording, cloud=next(iter(sorted(out.glob("cloud-*mm.ply"))), None))

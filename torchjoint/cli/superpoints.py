@@ -1,7 +1,5 @@
 """torchjoint superpoints: segments the cloud of a file into superpoints; writes labels and a picture."""
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from pathlib import Path

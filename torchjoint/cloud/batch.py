@@ -1,7 +1,5 @@
 """Checks and splits a batch of clouds for superpoints: one tensor, in which `ptr` gives the start of each cloud."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Step 3: the geometric weight of the edges of the point graph (eq. 3)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple

@@ -4,8 +4,6 @@ A. Dai et al., "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes", 
 the same order as in the segmentator. So the partition is the same, unless edges have equal weights.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Step 3: nearest neighbours of the points of a cloud."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 

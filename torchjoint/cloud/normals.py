@@ -3,8 +3,6 @@
 The arithmetic has a fixed order of operations, because labels depend on the last bit.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Step 3, method learned: noise and spacing of a cloud, which is thinned if it is much denser than its noise."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """All parameters, the presets, and what can be changed after all frames were seen."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

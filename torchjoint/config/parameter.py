@@ -1,7 +1,5 @@
 """Declaration and checks of a parameter: each is declared once, with its unit, range and effect (all steps)."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence

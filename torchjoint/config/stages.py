@@ -1,7 +1,5 @@
 """The parameters of each stage."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

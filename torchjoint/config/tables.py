@@ -1,7 +1,5 @@
 """The parameters (all steps) as Markdown tables, as the documents show them."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from torchjoint.config.config import Config

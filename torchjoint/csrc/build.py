@@ -1,7 +1,5 @@
 """How `torchjoint._C` is compiled: against the LibTorch stable ABI, so that one binary serves torch >= 2.10."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -100,18 +100,9 @@ void integrate_depth(const Tensor& sums, const Tensor& row, const Tensor& block,
   }
 
   const double* k = matrix.const_data_ptr<double>();
-  View view{{},
-            k[0],
-            k[4],
-            k[2],
-            k[5],
-            voxel_size,
-            truncation,
-            far,
-            image.const_data_ptr<float>(),
-            colors.const_data_ptr<uint8_t>(),
-            image.size(0),
-            image.size(1)};
+  const float* const depths = image.const_data_ptr<float>();
+  const uint8_t* const pixels = colors.const_data_ptr<uint8_t>();
+  View view{{}, k[0], k[4], k[2], k[5], voxel_size, truncation, far, depths, pixels, image.size(0), image.size(1)};
   std::copy_n(pose.const_data_ptr<double>(), 12, view.rows);
   int32_t* const cells = sums.mutable_data_ptr<int32_t>();
   parallel_for_each(rows.size(0), kBlocksAtOnce,

@@ -20,24 +20,17 @@ std::tuple<Tensor, Tensor> line_maxima(const Tensor& order, const Tensor& other_
   const Tensor values = checked_array(image, ScalarType::Byte, {-1, -1}, "image");
   const int64_t height = values.size(0), width = values.size(1);
   const VisibleEdges visible(order, other_end, start, point, row, column, height, width);
-  Tensor edge = torch::stable::new_empty(values, {visible.at_most}, ScalarType::Long);
-  Tensor maximum = torch::stable::new_empty(values, {visible.at_most}, ScalarType::Byte);
-  int64_t* const edges = edge.mutable_data_ptr<int64_t>();
-  uint8_t* const maxima = maximum.mutable_data_ptr<uint8_t>();
   const uint8_t* const pixels = values.const_data_ptr<uint8_t>();
   const int64_t *const r = visible.rows, *const c = visible.columns;
-  int64_t count = 0;
-  visible.for_each([&](int32_t one, int32_t other, int32_t number) {
+  return visible.values<uint8_t>(ScalarType::Byte, [&](int32_t one, int32_t other) {
     uint8_t largest = 0;
     for (int64_t there = 0; there <= kQuarters; ++there) {
       const int64_t here = kQuarters - there;
       const int64_t y = rounded(here * r[one] + there * r[other]), x = rounded(here * c[one] + there * c[other]);
       largest = std::max(largest, pixels[y * width + x]);
     }
-    edges[count] = number;
-    maxima[count++] = largest;
+    return largest;
   });
-  return {torch::stable::narrow(edge, 0, 0, count), torch::stable::narrow(maximum, 0, 0, count)};
 }
 
 }  // namespace

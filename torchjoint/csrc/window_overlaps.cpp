@@ -99,18 +99,11 @@ std::tuple<Tensor, Tensor> window_overlaps(const Tensor& order, const Tensor& ot
   Windows windows(image.const_data_ptr<int32_t>(), height, width, window, visible.num_points);
   for (int64_t i = 0; i < visible.num_points; ++i) windows.add(visible.rows[i], visible.columns[i]);
 
-  Tensor edge = torch::stable::new_empty(image, {visible.at_most}, ScalarType::Long);
-  Tensor overlap = torch::stable::new_empty(image, {visible.at_most}, ScalarType::Double);
-  int64_t* const edges = edge.mutable_data_ptr<int64_t>();
-  double* const overlaps = overlap.mutable_data_ptr<double>();
-  int64_t count = 0;
-  visible.for_each([&](int32_t one, int32_t other, int32_t number) {
+  return visible.values<double>(ScalarType::Double, [&](int32_t one, int32_t other) -> std::optional<double> {
     const int32_t smaller = std::min(windows.size(one), windows.size(other));
-    if (smaller == 0) return;
-    edges[count] = number;
-    overlaps[count++] = static_cast<double>(windows.intersection(one, other)) / smaller;
+    if (smaller == 0) return std::nullopt;
+    return static_cast<double>(windows.intersection(one, other)) / smaller;
   });
-  return {torch::stable::narrow(edge, 0, 0, count), torch::stable::narrow(overlap, 0, 0, count)};
 }
 
 }  // namespace

@@ -1,7 +1,5 @@
 """Readers of data on disk: `formats/` has the formats of data sets, `files/` the types of single files."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace

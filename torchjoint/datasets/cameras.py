@@ -3,8 +3,6 @@
 OpenCV's perspective and fisheye lenses are undone in images and their depth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 Before, it checks whether the depth images agree with one another at the given poses.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import warnings

@@ -1,7 +1,5 @@
 """Makes a scene from posed frames: with the cloud of the recording, or a cloud fused from depth."""
 
-from __future__ import annotations
-
 import os
 import re
 import warnings

@@ -1,7 +1,5 @@
 """Ground truth: instances of mesh vertices and of pixels, as ScanNet has them; label images; boxes around objects."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence, Set
 from pathlib import Path

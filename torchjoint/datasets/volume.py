@@ -1,7 +1,5 @@
 """A truncated signed distance volume into which depth images are fused (Curless and Levoy 1996)."""
 
-from __future__ import annotations
-
 import mmap
 from collections.abc import Mapping
 

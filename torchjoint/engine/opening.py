@@ -1,7 +1,5 @@
 """Opens engines by the names that users write: ``loky:4``, ``dask``, ``dask://host:port``, ``ray``, ``ray://...``."""
 
-from __future__ import annotations
-
 import logging
 import os
 import re

@@ -1,7 +1,5 @@
 """Step 1: the boundary detector that a config names; and the one by gradients."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial

@@ -1,7 +1,5 @@
 """Step 1: contours: smoothed images, thin ridges, and contours that close."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Step 1: structured forests, their files, and the boundaries that they find."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import math

@@ -1,7 +1,5 @@
 """Steps 1 and 2: the 8-connected pixel graph of an image, and its segmentation (eq. 1-2)."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import torch

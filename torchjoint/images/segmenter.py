@@ -1,7 +1,5 @@
 """Steps 1 and 2 together: boundaries and initial labels of a batch of frames."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
@@ -107,7 +105,17 @@ class ImageSegmenter(nn.Module):
     def detect(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> Tensor:
         """The boundaries [B, H, W] in [0, 1] of frames."""
         with stopwatch("boundaries"):
-            return self._detect(torch.stack([frame.image for frame in frames]))
+            images = torch.stack([frame.image for frame in frames])
+            with eval_mode(self.boundary):
+                boundaries = self.boundary(images)
+            expected = images[:, 0].shape
+            if boundaries.shape != expected:
+                raise ValueError(f"boundary: expected [B, H, W] = {list(expected)}, got {list(boundaries.shape)}")
+            if not ((boundaries >= 0) & (boundaries <= 1)).all():
+                low, high = float(boundaries.min()), float(boundaries.max())
+                raise ValueError(f"boundary: expected numbers in [0, 1], got {low:.4g} to {high:.4g}")
+            boundaries = boundaries.float()
+            return close_contours(boundaries) if self.config.contours.closed else boundaries
 
     def _given(self, frames: Sequence[Frame]) -> list[Masks | Tensor | None]:
         """The masks or dense labels of each frame, its own or the segmenter's; None: use the pixel graph."""
@@ -150,17 +158,6 @@ class ImageSegmenter(nn.Module):
             return ImageSegments(boundary, segments, None)
 
         return parallel_map(segment, [*zip(frames, given, own, strict=True)])
-
-    def _detect(self, images: Tensor) -> Tensor:
-        with eval_mode(self.boundary):
-            boundaries = self.boundary(images)
-        if boundaries.shape != images[:, 0].shape:
-            raise ValueError(f"boundary: expected [B, H, W] = {list(images[:, 0].shape)}, got {list(boundaries.shape)}")
-        if not ((boundaries >= 0) & (boundaries <= 1)).all():
-            low, high = float(boundaries.min()), float(boundaries.max())
-            raise ValueError(f"boundary: expected numbers in [0, 1], got {low:.4g} to {high:.4g}")
-        boundaries = boundaries.float()
-        return close_contours(boundaries) if self.config.contours.closed else boundaries
 
 
 def _dense(labels: Tensor) -> Tensor:

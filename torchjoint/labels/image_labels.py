@@ -1,7 +1,5 @@
 """Steps 7 and 8: the final labels of the images. The config and the frame's masks select the method."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from tqdm import tqdm

@@ -1,7 +1,5 @@
 """Step 8: one id space for points and pixels."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import Counter
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ where the lowest of equally good labels of a pixel counts. Here, once, the numbe
 The superpoint in each pixel gives the labels of every level.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """After step 8, while a cloud grows: things keep their ids from result to result."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Steps 7 and 8 for frames with masks of a network: masks keep their outlines, unless the 3D labels contradict."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

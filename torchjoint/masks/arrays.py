@@ -1,7 +1,5 @@
 """Masks from arrays and label images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Masks from annotations and results in COCO's format."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Masks of a recording in a folder."""
 
-from __future__ import annotations
-
 import csv
 import warnings
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Masks from what networks return: SAM, panoptic and instance segmentation."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Masks of COCO: run lengths and polygons."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ A mask is given as the indices of its pixels, so that a small mask of a large im
 made one after the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Predicted instances in any supported form, and the number of points they share with ground-truth instances."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """ScanNet's average precision of many scenes, as a module of torchmetrics: it is no mean over scenes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Overlaps of two segmentations, and the segmentation covering."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from statistics import fmean
 from typing import NamedTuple

@@ -15,8 +15,6 @@ instances in its benchmark. The rules, in addition to the IoU of masks:
   the sum of trapezoids, starting at recall 0, precision 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import groupby
 from statistics import fmean

@@ -1,7 +1,5 @@
 """Metrics of over-segmentations (superpoints, superpixels): leaks across true borders, and missed borders."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from statistics import fmean
 

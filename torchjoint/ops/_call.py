@@ -1,7 +1,5 @@
 """Loads the compiled extension; calls its kernels, with errors of the same types in every version of torch."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from importlib import import_module

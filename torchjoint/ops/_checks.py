@@ -4,8 +4,6 @@ They take almost no time and also work under :func:`torch.compile`. The compiled
 NaN, signs) when they read them, and also raise :class:`ValueError`.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

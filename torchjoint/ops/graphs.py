@@ -1,7 +1,5 @@
 """Operators on weighted graphs: components, segmentation, region merging and minimum cuts (steps 6 and 7)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

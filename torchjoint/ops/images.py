@@ -1,7 +1,5 @@
 """Operators on images: contours and labels of pixels (steps 1, 7, 8)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

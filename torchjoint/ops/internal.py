@@ -4,8 +4,6 @@ No gradient flows through them, and the number of threads does not change a resu
 error names the argument. ``tests/reference/`` has a slow and simple Python version of each, with an example.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

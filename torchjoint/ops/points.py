@@ -1,7 +1,5 @@
 """Operators on points: neighbours and normals (step 3), projection and a z-buffer (step 4)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Segments many recordings on many workers. Each gets its own result folder; a failure does not affect the others."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

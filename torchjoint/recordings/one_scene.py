@@ -1,7 +1,5 @@
 """The task of a worker: segments one recording of a batch."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Plays a recording as its camera took it, for live segmentation: what comes too late is dropped."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Finds the recordings that a user names: folders, patterns, data sets, and files that list them."""
 
-from __future__ import annotations
-
 import glob
 import os
 import re

@@ -3,8 +3,6 @@
 `RecordingOptions` says how it is read.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import warnings

@@ -3,8 +3,6 @@
 Their boxes turn about z alone, which must point up: they are those of a turned cloud if up in the scene is far from z.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -34,8 +32,8 @@ class Box(NamedTuple):
     """A box that stands upright."""
 
     name: str  #: "": not known
-    center: tuple[float, float, float]  #: metres
-    size: tuple[float, float, float]  #: metres, along its own x, y and z
+    center: tuple[float, ...]  #: x, y, z, metres
+    size: tuple[float, ...]  #: metres, along its own x, y and z
     yaw: float  #: radians, from the world's x to its own x, counterclockwise as seen from above
 
     def holds(self, points: Array) -> npt.NDArray[np.bool_]:
@@ -61,7 +59,7 @@ def boxes_of(result: Result) -> dict[int, Box]:
         found = oriented_box(points[part], np.array([0.0, 0.0, 1.0]))
         yaw = math.atan2(found.axes[0, 1], found.axes[0, 0])
         name = result.segment_names.get(segment, UNNAMED)
-        boxes[segment] = Box(name, _three(found.center.tolist()), _three(found.size.tolist()), yaw)
+        boxes[segment] = Box(name, tuple(found.center.tolist()), tuple(found.size.tolist()), yaw)
     return boxes
 
 
@@ -199,12 +197,7 @@ def _box(name: Sequence[Any], numbers: Sequence[Any], where: str) -> Box:
         raise ValueError(f"{where}: expected finite numbers and sizes of at least 0, got {values}")
     if printable(name[0]) != name[0]:
         raise ValueError(f"{where}: name: expected a text, got {name[0]!r}")
-    return Box(name[0].strip(), _three(values[:3]), _three(values[3:6]), values[6])
-
-
-def _three(values: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = values
-    return x, y, z
+    return Box(name[0].strip(), tuple(values[:3]), tuple(values[3:6]), values[6])
 
 
 def _named(names: str, values: Sequence[float]) -> dict[str, float]:

@@ -1,7 +1,5 @@
 """The state of a long run on disk (results of steps 1-5), so that an interrupted run can resume."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 import time

@@ -5,8 +5,6 @@ which it was given: it belongs to that segment and to finer ones. edits.json hol
 It also holds the checksum of the result's manifest: another result of as many superpoints has other superpoints.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

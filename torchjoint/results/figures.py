@@ -1,7 +1,5 @@
 """Figures of results."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from typing import Any
 

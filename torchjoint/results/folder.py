@@ -1,7 +1,5 @@
 """A result on disk (output after step 8): the folder that `torchjoint segment` writes and `torchjoint show` reads."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil
@@ -24,24 +22,12 @@ from tqdm import tqdm
 from torchjoint.config import Config, read_yaml
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import read_label_image
+from torchjoint.results import manifest
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.edits import read_edits
 from torchjoint.results.embeddings import read_embeddings
 from torchjoint.results.figures import overview
 from torchjoint.results.inputs import CAMERAS, read_inputs, read_names, write_inputs
-from torchjoint.results.manifest import FILE as MANIFEST
-from torchjoint.results.manifest import (
-    HIERARCHY,
-    PNG,
-    SUPERPOINTS,
-    Check,
-    open_manifest,
-    read_hierarchy,
-    read_superpoint_image,
-    unchecked,
-    write_hierarchy,
-    write_manifest,
-)
 from torchjoint.results.mask_report import frames_with_masks, names_of_masks
 from torchjoint.results.objects import write_segments
 from torchjoint.results.parts import Parts, edited
@@ -139,7 +125,7 @@ def write_result(
     bar.update()
     last_label = _write_label_images(folder / "images", result)
     if result.hierarchy is not None:
-        write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.superpoint_images)
+        manifest.write_hierarchy(folder, result.hierarchy, frame_files(result.names), result.superpoint_images)
     write_inputs(folder, scene, result)
     bar.update()
     scene = replace(scene, up=up_direction(scene))
@@ -147,9 +133,10 @@ def write_result(
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
     write_segments(folder, scene, result, names_of_masks(folder))
     bar.update()
-    overview(scene, result, names=frames_with_masks(folder)).savefig(folder / "overview.png", dpi=100, pil_kwargs=PNG)
+    picture = overview(scene, result, names=frames_with_masks(folder))
+    picture.savefig(folder / "overview.png", dpi=100, pil_kwargs=manifest.PNG)
     record = _run_record(scene, result, config, source, granularity, last_label) | dict(made or {})
-    write_manifest(folder, record)
+    manifest.write_manifest(folder, record)
     bar.update()
     bar.close()
     parts = dict(seconds or {}) | {"write": time.perf_counter() - start}
@@ -158,12 +145,12 @@ def write_result(
 
 
 def _remove_earlier(folder: Path) -> None:
-    """Deletes the files of an interrupted run: with other parameters it may have written other files."""
-    files = "points.ply", "points.npz", HIERARCHY, CAMERAS, "overview.png", "run.yaml", MANIFEST, "embeddings.npz"
-    for name in files:
-        (folder / name).unlink(missing_ok=True)
-    for name in ("images", SUPERPOINTS):
-        shutil.rmtree(folder / name, ignore_errors=True)
+    """Deletes the parts of an interrupted run: with other parameters it may have written other files."""
+    for path in (folder / part for part in PARTS if part != EDITS):  # a fused cloud's name is a pattern: it stays
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def read_points(folder: Path) -> PointResult:
@@ -179,7 +166,7 @@ def read_points(folder: Path) -> PointResult:
         return PointResult(cloud.points, labels, cloud.colors)
 
 
-def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
+def read_result(folder: Path, check: manifest.Check = manifest.unchecked) -> Segmentation:
     """Reads a result, with all its levels if it has a hierarchy.
 
     Images are read, and checked, when they are used. Images and names are in the order of the names; initial images are
@@ -190,18 +177,19 @@ def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
     images = LazySequence(len(files), lambda index: read_label_image(check(files[index])) - 1)
     true = {file: name for name, file in read_names(folder).items()}
     names = tuple(true.get(file.stem, file.stem) for file in files)
-    if not has_file(folder / HIERARCHY):
+    if not has_file(folder / manifest.HIERARCHY):
         return Segmentation(labels, images, names=names)
-    hierarchy = read_hierarchy(folder, len(labels))
+    hierarchy = manifest.read_hierarchy(folder, len(labels))
     of_superpoint = torch.zeros(hierarchy.num_superpoints, dtype=torch.int64)
     of_superpoint[hierarchy.superpoint] = labels
     if not torch.equal(of_superpoint[hierarchy.superpoint], labels):
         raise ValueError(
-            f"{folder / HIERARCHY}: expected superpoints that lie inside one segment of points.npz, got others"
+            f"{folder / manifest.HIERARCHY}: expected superpoints that lie inside one segment of points.npz, got others"
         )
 
     def superpoints(index: int) -> Tensor:
-        return read_superpoint_image(check(folder / SUPERPOINTS / files[index].name), hierarchy.num_superpoints)
+        file = folder / manifest.SUPERPOINTS / files[index].name
+        return manifest.read_superpoint_image(check(file), hierarchy.num_superpoints)
 
     superpoint_images = LazySequence(len(files), superpoints)
     return Segmentation(labels, images, names=names, hierarchy=hierarchy, superpoint_images=superpoint_images)
@@ -219,16 +207,6 @@ def read_run(folder: Path, parse: Callable[[Any], T]) -> T:
     """
     file = present(folder / "run.yaml", "a folder that `torchjoint segment` wrote")
     return read_yaml(file, parse, "a record of a run")
-
-
-def read_config(folder: Path) -> Config:
-    """Reads the parameters of the run that made a result."""
-    return read_run(folder, lambda record: Config.from_dict(record["config"]))
-
-
-def read_source(folder: Path) -> str:
-    """Reads the path of the recording that was segmented; results of before have it as it was given to `segment`."""
-    return read_run(folder, lambda record: str(record["scene"]))
 
 
 def read_origin(folder: Path) -> Origin:
@@ -261,7 +239,6 @@ def _write_label_images(folder: Path, result: Segmentation) -> int:
     """Writes the label images; returns the largest label, or -1."""
     names = frame_files(result.names)
     no_twice(names, "frames: name")
-    shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
 
     def write(index: int) -> int:
@@ -271,7 +248,7 @@ def _write_label_images(folder: Path, result: Segmentation) -> int:
                 f"image segments: ids up to {last} do not fit 16-bit images (at most {MAX_LABEL}); "
                 "raise image_segments.min_size, or choose a lower granularity"
             )
-        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{names[index]}.png", **PNG)
+        Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{names[index]}.png", **manifest.PNG)
         return last
 
     return max(parallel_map(write, range(len(names))), default=-1)
@@ -298,7 +275,7 @@ def _run_record(
         "thread_seconds": {stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         "versions": versions,
         "config": config.to_dict(),
-        "manifest": MANIFEST,
+        "manifest": manifest.FILE,
     }
 
 
@@ -330,8 +307,8 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
         result.images[0], result.at(0.3), result.crops(7, k=3)[0].image
     """
     folder = Path(folder)
-    stored, config = read_points(folder), read_config(folder)
-    check = open_manifest(folder) if verify else unchecked
+    stored, config = read_points(folder), read_origin(folder).config
+    check = manifest.open_manifest(folder) if verify else manifest.unchecked
     segmentation = read_result(folder, check)
     if verify:
         _check_counts(folder, segmentation)

@@ -3,10 +3,7 @@
 With them a result does not need the recording any more: its frames can be shown, cropped and exported.
 """
 
-from __future__ import annotations
-
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -40,7 +37,6 @@ def write_inputs(folder: Path, scene: Scene, result: Segmentation) -> None:
         result: the segmentation of the scene.
     """
     for part in (INPUTS, OVERLAYS):
-        shutil.rmtree(folder / part, ignore_errors=True)
         (folder / part).mkdir()
     num_point_segments, files = result.num_point_segments, frame_files(result.names)
 

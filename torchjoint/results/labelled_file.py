@@ -4,8 +4,6 @@ Each vertex, and each face at its centre, gets the label of the nearest point of
 vertices than the result has points: those that were thinned out, faint splats, the corners of large triangles.
 """
 
-from __future__ import annotations
-
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping

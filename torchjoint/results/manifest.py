@@ -3,11 +3,8 @@
 It says so if a file was changed, lost, or taken from another result. A result of version 0.1.0 has none.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -152,7 +149,6 @@ def write_hierarchy(
         default=np.float64(hierarchy.default),
         **{name: array.numpy().astype(np.int32) for name, array in arrays.items()},  # type: ignore[arg-type]
     )
-    shutil.rmtree(folder / SUPERPOINTS, ignore_errors=True)
     if not len(superpoint_images):
         return
     (folder / SUPERPOINTS).mkdir()

@@ -1,7 +1,5 @@
 """What became of the masks of a network: masks.json in a result (output after step 8)."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Sequence
@@ -46,7 +44,6 @@ def write_mask_report(folder: Path, names: Sequence[str], found: Sequence[MaskMa
         names: of the frames.
         found: :func:`compare_masks` of each frame, None without masks.
     """
-    (folder / FILE).unlink(missing_ok=True)
     if not any(found):
         return
     frames: list[dict[str, Any]] = [

@@ -1,7 +1,5 @@
 """The segments of a result as objects: their boxes, sizes and places."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -25,22 +25,9 @@ from typing import NamedTuple
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.folder import PARTS
 from torchjoint.results.manifest import listed_files
+from torchjoint.runtime import outputs
 from torchjoint.runtime.files import FULL, PARTIAL, no_link
 from torchjoint.runtime.foreign_files import damage_is
-from torchjoint.runtime.outputs import (
-    SOURCE,
-    Seen,
-    check_no_input,
-    check_unchanged,
-    is_fixed,
-    lock,
-    move_new,
-    put,
-    read_sealed,
-    seen,
-    work_folder,
-    write_sealed,
-)
 
 #: Files in a partial folder: the marker that it is complete; the marker that the earlier result has moved.
 COMPLETE, PLACING = "complete.txt", "placing.txt"
@@ -56,15 +43,15 @@ class _Marker(NamedTuple):
     """What the marker of a complete result says."""
 
     key: str  #: of the run
-    before: Seen  #: what stood at OUT when the run began, and may be replaced
+    before: outputs.Seen  #: what stood at OUT when the run began, and may be replaced
 
     def write(self, file: Path) -> None:
-        write_sealed(file, json.dumps([self.key, sorted(self.before)]))
+        outputs.write_sealed(file, json.dumps([self.key, sorted(self.before)]))
 
     @classmethod
     def read(cls, file: Path) -> _Marker | None:
         """None if there is no marker, or one that no run wrote there."""
-        if (text := read_sealed(file)) is None:
+        if (text := outputs.read_sealed(file)) is None:
             return None
         with damage_is(f"{file}: damaged; move its folder, then start again"):
             key, before = json.loads(text)
@@ -82,7 +69,7 @@ class _Places:
 
     @classmethod
     def of(cls, out: Path) -> _Places:
-        if is_fixed(out):
+        if outputs.is_fixed(out):
             return cls(out, out / ".partial", out / ".lock", True)
         return cls(out, out.with_name(f"{out.name}.partial"), out.with_name(f".{out.name}.lock"), False)
 
@@ -90,9 +77,9 @@ class _Places:
     def own(self) -> set[Path]:
         return {self.partial, self.lock}
 
-    def seen(self) -> Seen:
+    def seen(self) -> outputs.Seen:
         """What stands at OUT, without the files of this module."""
-        return seen(self.out, {path.name for path in self.own} if self.inside else ())
+        return outputs.seen(self.out, {path.name for path in self.own} if self.inside else ())
 
 
 def own_files(out: Path) -> set[Path]:
@@ -116,7 +103,7 @@ def output_folder(
             nothing else than results have.
         inputs: what the run reads; `out` must not contain it.
     """
-    check_no_input(out, inputs)
+    outputs.check_no_input(out, inputs)
     out = Path(os.path.abspath(out))
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
@@ -129,21 +116,22 @@ def output_folder(
         no_link(path)
     if not os.access(places.lock.parent, os.W_OK | os.X_OK):
         raise PermissionError(f"{out}: the folder {places.lock.parent} cannot be written; choose another output")
-    with lock(places.lock, f"{out}: another run is writing this result; wait for it, or choose another output") as held:
+    busy = f"{out}: another run is writing this result; wait for it, or choose another output"
+    with outputs.lock(places.lock, busy) as held:
         finished = _finish_earlier(places, overwrite)
         if key and finished == key:
             yield None
             return
         before = places.seen()  # first: what comes after the check is not replaced, either
         _check_replaceable(places, overwrite)
-        work_folder(places.partial, source)
+        outputs.work_folder(places.partial, source)
         try:
             yield places.partial
         except BaseException as error:
             if isinstance(error, OSError) and error.errno in FULL:  # which name no file
                 error.filename = error.filename or str(places.partial)
             is_ours = held.is_held() and places.partial.is_dir()
-            if is_ours and [path.name for path in places.partial.iterdir()] == [SOURCE]:  # nothing to resume
+            if is_ours and [path.name for path in places.partial.iterdir()] == [outputs.SOURCE]:  # nothing to resume
                 shutil.rmtree(places.partial)
             raise
         held.check()
@@ -167,30 +155,30 @@ def _finish_earlier(places: _Places, overwrite: bool) -> str | None:
     return None if marker is None else marker.key
 
 
-def _place(places: _Places, before: Seen) -> None:
+def _place(places: _Places, before: outputs.Seen) -> None:
     """Turns the complete partial folder into the result; can be repeated after a kill at any step."""
     partial = places.partial
     shutil.rmtree(partial / STATE, ignore_errors=True)
-    (partial / SOURCE).unlink(missing_ok=True)
+    (partial / outputs.SOURCE).unlink(missing_ok=True)
     if places.inside:
         _fill(places, before)
     else:
-        put(partial, places.out, before, partial / REPLACED)
+        outputs.put(partial, places.out, before, partial / REPLACED)
         _tidy(places.out, COMPLETE)
 
 
-def _fill(places: _Places, before: Seen) -> None:
+def _fill(places: _Places, before: outputs.Seen) -> None:
     """Moves the contents of OUT into the partial folder, and those of the partial folder to OUT."""
     out, partial, replaced = places.out, places.partial, places.partial / REPLACED
     if not (partial / PLACING).is_file():
-        check_unchanged(out, before, {path.name for path in places.own})
+        outputs.check_unchanged(out, before, {path.name for path in places.own})
         replaced.mkdir(exist_ok=True)
         for name in sorted({name for name, _, _ in before if name and os.path.lexists(out / name)}):
             os.replace(out / name, replaced / name)
         os.replace(partial / COMPLETE, partial / PLACING)
     for path in sorted(partial.iterdir()):
         if path.name not in (PLACING, REPLACED):
-            move_new(path, out / path.name)
+            outputs.move_new(path, out / path.name)
     _tidy(partial, PLACING)
     partial.rmdir()
 

@@ -1,7 +1,5 @@
 """Writes a result as one HTML file to share: the cloud, its levels, and a row of its images (output after step 8)."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

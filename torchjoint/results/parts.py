@@ -1,7 +1,5 @@
 """The superpoints of a result, and the segments that they form: what can be joined and split (output after step 8)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count, groupby

@@ -1,7 +1,5 @@
 """A segment from points or pixels that somebody chose, at the level of the hierarchy that fits them (after step 8)."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Sequence
 from typing import NamedTuple

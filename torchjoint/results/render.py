@@ -1,7 +1,5 @@
 """Pictures of clouds, the colours of labels, and how bright a point is drawn (output after step 8)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

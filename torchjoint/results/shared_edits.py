@@ -1,7 +1,5 @@
 """Corrections that came from other programs, or from several people at once."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The upward direction of a scene, from the poses and the large planes of the cloud, and views of it (after step 8)."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

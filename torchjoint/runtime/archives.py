@@ -1,7 +1,5 @@
 """Reads NumPy's .npz archives from untrusted sources: checks sizes against the file before it allocates memory."""
 
-from __future__ import annotations
-
 import math
 import os
 import warnings

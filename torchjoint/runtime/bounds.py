@@ -4,8 +4,6 @@ A few bytes can declare, or unpack to, gigabytes. Each bound is far above what r
 a large file may hold more.
 """
 
-from __future__ import annotations
-
 #: Pixels of an image, of a mask, or numbers of all channels of an image of floats.
 PIXELS = 64_000_000
 #: Pixels inside all masks of one image together, or around its polygons.

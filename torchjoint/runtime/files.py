@@ -1,7 +1,5 @@
 """Files that are written as a whole or not at all, and files with a checksum."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os

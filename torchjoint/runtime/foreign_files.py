@@ -4,8 +4,6 @@ A name in a folder may lead nowhere (a lost mount, git-annex), to a device that 
 fills. "Not there" and "cannot be read" are two things: without its cloud a recording is another recording.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Groups in tensors: where they begin, their numbers, and their most frequent values."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import torch

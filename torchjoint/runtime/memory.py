@@ -1,7 +1,5 @@
 """Memory: how much there is, how much a process takes, and giving it back."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import re

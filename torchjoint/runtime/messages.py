@@ -1,7 +1,5 @@
 """What a user reads: messages, missing extras, and seconds."""
 
-from __future__ import annotations
-
 import errno
 import re
 import time

@@ -4,8 +4,6 @@ A user, a viewer or another program may make or change OUT while a run works. So
 it begins, and compares at the moment of replacing. An earlier folder is moved aside until the new one stands.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat

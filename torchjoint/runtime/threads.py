@@ -11,8 +11,6 @@ and MKL, which store it per thread. Callers may overlap in any way, and the sett
 torch does not use OpenMP, ``torch.set_num_threads`` is used as long as any caller is inside.
 """
 
-from __future__ import annotations
-
 import ctypes
 import pickle
 import sys

@@ -3,8 +3,6 @@
 The message calls the argument `name`, and says what was expected and what came.
 """
 
-from __future__ import annotations
-
 import warnings
 from typing import Any, Literal
 

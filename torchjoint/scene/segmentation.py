@@ -1,7 +1,5 @@
 """The result of step 8: labels of points and pixels in one id space, at any level."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

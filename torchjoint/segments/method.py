@@ -1,7 +1,5 @@
 """Step 6: what a method is, which ones there are, and which one segments a cloud."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 This is the method exactly as in the paper. Its own parameters are in stage ``paper``.
 """
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from torchjoint import ops

@@ -1,7 +1,5 @@
 """Step 6: planes of small regions, costs of boundaries, and merging by the mean cost of a boundary."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Records a room with a camera that walks around its table: images, depth, poses and a cloud, with their truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Integral
 from typing import Any

@@ -6,8 +6,6 @@ Read it in this order: :mod:`~torchjoint.tiles.plan` counts the points, and cuts
 :mod:`~torchjoint.results.labelled_file` writes the result; :mod:`~torchjoint.tiles.run` calls them.
 """
 
-from __future__ import annotations
-
 from torchjoint.tiles.run import superpoints_of_files
 
 __all__ = ["superpoints_of_files"]

@@ -5,8 +5,6 @@ longer side into two tiles with about equally many points; these are cut again i
 memory, also if the density is uneven, and a small cloud is one tile.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Iterator, Sequence

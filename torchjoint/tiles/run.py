@@ -5,8 +5,6 @@ each tile that is not yet segmented. `cut.npz` exists when all of them are writt
 segmented tile. The folder is deleted when the result is complete.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import warnings

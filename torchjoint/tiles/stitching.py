@@ -13,8 +13,6 @@ The united superpoints are numbered by their first points. The result depends on
 order in which the tiles were segmented.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Segments one tile: an independent task, which reads one file and writes one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The viewer's page: a panel of controls beside the cloud, and the reaction to each click."""
 
-from __future__ import annotations
-
 import threading
 import weakref
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The cloud in the browser: a sample of all points, and all points of the blocks near the camera."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

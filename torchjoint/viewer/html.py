@@ -1,7 +1,5 @@
 """Elements of the viewer's panel that viser lacks: a photo and a table that can be clicked; page.js sends clicks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path

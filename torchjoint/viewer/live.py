@@ -1,7 +1,5 @@
 """Shows a run in the viewer before it is finished: updates the labels so far, in a limited share of the time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """Measures segments for the viewer's table: points, size, frames that see them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

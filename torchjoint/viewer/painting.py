@@ -1,7 +1,5 @@
 """The colours of the points and images in the viewer, by the state of its model."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The panel of the viewer's page: its elements from top to bottom. Their actions are in app.py."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from torchjoint.results.folder import read_granularity

@@ -1,7 +1,5 @@
 """The server of the viewer's page. It answers only those who know its address, which has a random part."""
 
-from __future__ import annotations
-
 import io
 import secrets
 import socket

@@ -1,7 +1,5 @@
 """The folder and the run of a shown result; they determine which controls the viewer offers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from operator import attrgetter

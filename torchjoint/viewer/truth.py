@@ -1,7 +1,5 @@
 """The viewer's layers that are not of a result: a scene's truth, and superpoints of a file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

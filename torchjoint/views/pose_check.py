@@ -1,7 +1,5 @@
 """Check before step 4: are the poses and intrinsics plausible? Wrong ones are the most common error with new data."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence

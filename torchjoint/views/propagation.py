@@ -4,8 +4,6 @@ The evidence is two sums over images: the number of views v, and the sum of over
 effect, and the sums of several processes can be added.
 """
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from torchjoint.cloud.graph import CsrAdjacency

@@ -16,7 +16,7 @@ from torchjoint.cli.arguments import DEFAULTS, Flat, Out
 from torchjoint.datasets.cameras import resize_nearest
 from torchjoint.images.segmenter import ImageSegmenter
 from torchjoint.joint import JointSegmenter
-from torchjoint.results.folder import read_config
+from torchjoint.results.folder import read_origin
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.outputs import Output
@@ -156,7 +156,7 @@ class _Sources:
 
 def _initial_segmentation(result: Path, scene: Scene) -> LazySequence[Tensor]:
     """The initial image segmentation of a result, computed again: a result does not store it."""
-    segment = ImageSegmenter(read_config(result))
+    segment = ImageSegmenter(read_origin(result).config)
 
     def initial(i: int) -> Tensor:
         with one_thread_per_operation():

@@ -1,7 +1,5 @@
 """Reads a single point cloud from a file: .ply, .pcd, .npy, .npz, .bin (KITTI), .xyz, .las, .laz, .e57, a mesh."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from pathlib import Path

@@ -5,8 +5,6 @@ scaled by the limits in the file; there are none if any scan lacks them. Those t
 the nearest points. The library verifies the checksum of each page.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

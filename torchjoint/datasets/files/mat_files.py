@@ -4,8 +4,6 @@ SciPy is not used: a damaged file can crash SciPy, or make it unpack a few bytes
 Format" (The MathWorks): an element has a type, a length and data; a matrix is an element that contains elements.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

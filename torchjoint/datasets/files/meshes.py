@@ -1,7 +1,5 @@
 """Reads meshes, .obj, .glb, .gltf, .off and .stl, with trimesh."""
 
-from __future__ import annotations
-
 import base64
 import io
 import os

@@ -5,8 +5,6 @@ compressed and the uncompressed size, two uint32, then LZF data: the fields one 
 VIEWPOINT is the pose of the sensor; it must not be applied to the points.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 import warnings

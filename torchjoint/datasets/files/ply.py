@@ -4,8 +4,6 @@ Every number is checked: a truncated file, extra data, or a word that is not a n
 are added to a file of others as bytes: properties without a meaning for this package survive.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import warnings

@@ -1,7 +1,5 @@
 """Reads single files: images, depth, matrices, arrays. Content does not choose the decoder. Errors name the file."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import os

@@ -3,8 +3,6 @@
 rosbags has no limit for what compressed parts of a recording become in memory; here they have one.
 """
 
-from __future__ import annotations
-
 import bz2
 import os
 import re

@@ -1,7 +1,5 @@
 """Converts ROS messages: images, depth images, point clouds, cameras; and poses, of the tree of tf or another topic."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from typing import Any

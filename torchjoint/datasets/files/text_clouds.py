@@ -5,8 +5,6 @@ length 1 are normals; three of 0 to 255 (or 0 to 1) are colours, behind an inten
 warning tells what is left out.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import warnings

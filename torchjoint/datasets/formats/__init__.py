@@ -11,8 +11,6 @@ and, if a data set holds many scenes, ``scenes(path) -> dict[str, Path]``: scene
 data set of this format.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Protocol, cast

@@ -12,8 +12,6 @@ one before and the one after, and images without a pose within 0.06 s are left o
 smallest box that contains it; all others are void.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

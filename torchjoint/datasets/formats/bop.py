@@ -11,8 +11,6 @@ then that camera's frame. Truth: objects in two images are the same instance if 
 positions in the world are at most `SAME_PLACE` apart. All other pixels are void. The cloud is `cloud.ply`, or fused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -5,8 +5,6 @@ the normals of its triangles; where these are large, points are drawn on them. :
 says what the files hold.
 """
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

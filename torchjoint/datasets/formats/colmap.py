@@ -14,8 +14,6 @@ Images may be resized, but not cropped; lens distortion is removed. The scale of
 "metres" are the model's unit, unless the model was aligned.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path

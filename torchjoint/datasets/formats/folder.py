@@ -10,25 +10,13 @@ cloud.ply                      the point cloud, also .pcd, .las, .laz or .e57 (o
 cloud.truth.npy                ground-truth instances of the points, integers [N]; -1 = void (optional)
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path
 
+from torchjoint.datasets import recording
 from torchjoint.datasets.cameras import Camera, world_to_camera
 from torchjoint.datasets.files.readers import read_array, read_matrix
-from torchjoint.datasets.recording import (
-    Frames,
-    Options,
-    Shot,
-    find_cloud,
-    read_shots,
-    scene_of_frames,
-    sorted_images,
-    tell_lost,
-    tell_not_read,
-)
 from torchjoint.datasets.truth import label_images
 from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, present
 from torchjoint.scene import Scene, Truth
@@ -42,20 +30,20 @@ def recognizes(path: Path) -> bool:
     return has_folder(path) and bool(_color_files(path))
 
 
-def load(path: Path, options: Options) -> Scene:
+def load(path: Path, options: recording.Options) -> Scene:
     frames = read_frames(path)
-    scene = scene_of_frames(path, frames, options)
-    if not options.fuse and find_cloud(path, options) is None:
+    scene = recording.scene_of_frames(path, frames, options)
+    if not options.fuse and recording.find_cloud(path, options) is None:
         return scene  # the truth is that of another cloud
     return replace(scene, truth=_truth(path, len(scene.points)))
 
 
-def read_frames(path: Path) -> Frames:
+def read_frames(path: Path) -> recording.Frames:
     """Returns the frames of a folder; each frame is read on access."""
-    colors = sorted_images(path, _color_files(path))
+    colors = recording.sorted_images(path, _color_files(path))
     stems = [file.name.split(".")[0] for file in colors]
     no_twice(stems, f"{path}: the colour image of frame")
-    tell_lost(str(path), (file.name.split(".")[0] for file in path.glob("frame-*.pose.txt")), stems)
+    recording.tell_lost(str(path), (file.name.split(".")[0] for file in path.glob("frame-*.pose.txt")), stems)
     pose_files = [present(_beside(file, ".pose.txt"), "the pose of a colour frame") for file in colors]
     # Reads all poses at once: a bad pose must be found before hours of work, not after.
     poses = [world_to_camera(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
@@ -63,18 +51,18 @@ def read_frames(path: Path) -> Frames:
     camera = Camera(read_matrix(file, (3, 3)), name=str(file))
     without = [file for file in colors if not has_file(_beside(file, ".labels.png"))]
     if len(without) == len(colors):
-        tell_not_read(path, "label", "an image of labels")
+        recording.tell_not_read(path, "label", "an image of labels")
     elif without:
         warnings.warn(f"labels: {len(without)} of {len(colors)} frames have no .labels.png", stacklevel=4)
     shots = [
-        Shot(color, camera, pose, stem, _beside(color, ".depth.png"), labels=_beside(color, ".labels.png"))
+        recording.Shot(color, camera, pose, stem, _beside(color, ".depth.png"), labels=_beside(color, ".labels.png"))
         for color, pose, stem in zip(colors, poses, stems, strict=True)
     ]
-    return read_shots(shots)
+    return recording.read_shots(shots)
 
 
 def _truth(path: Path, num_points: int) -> Truth | None:
-    colors = sorted_images(path, _color_files(path))
+    colors = recording.sorted_images(path, _color_files(path))
     of_points = path / "cloud.truth.npy"
     images = label_images([_beside(file, ".truth.png") for file in colors], "truth", colors)
     points = as_labels(read_array(of_points), (num_points,), str(of_points)) if has_file(of_points) else None

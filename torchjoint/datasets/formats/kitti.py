@@ -13,8 +13,6 @@ Ground truth: a point in a box gets the box's index in the file ("DontCare" boxe
 the smallest box; all other points are void. The image has no ground truth.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

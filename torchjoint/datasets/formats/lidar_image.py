@@ -13,8 +13,6 @@ initial_guess.json   instead of extrinsic.txt: {"x", "y", "z", "r_deg", "p_deg",
 The world frame is the LiDAR's frame. A guess may be wrong: the pose is checked before segmenting (PoseWarning).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

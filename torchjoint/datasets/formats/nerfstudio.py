@@ -16,8 +16,6 @@ The scale of poses from structure from motion is arbitrary: "metres" are then th
 Files are searched below the folder of transforms.json and in its sibling folder `images`; nowhere else.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import partial

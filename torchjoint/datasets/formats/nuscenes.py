@@ -15,8 +15,6 @@ Ground truth: a point in a box gets the box's index in `instances`, and where bo
 points are void. The images have no ground truth.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from torch import Tensor

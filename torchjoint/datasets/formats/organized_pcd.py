@@ -13,8 +13,6 @@ and so on. label // 10 merges the parts of an object, so the table is 0, the fir
 without depth are void. The background is void, too: mOSD has removed it from the points, but not from the image.
 """
 
-from __future__ import annotations
-
 import warnings
 from contextlib import suppress
 from dataclasses import replace

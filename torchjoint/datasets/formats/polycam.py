@@ -11,8 +11,6 @@ The cloud is `cloud.ply`, or fused from depth: raw.glb is in other axes, and is 
 layout is that of Polycam's own reader, github.com/PolyCam/polyform (README.md, core/capture_folder.py).
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

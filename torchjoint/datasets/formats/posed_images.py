@@ -7,8 +7,6 @@ SCAN_vh_clean_2.ply                the cloud, with ScanNet's annotation (optiona
                                    posed_images/; fused from depth if absent)
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -12,8 +12,6 @@ The cloud is `cloud.ply` in the folder, or fused from depth. No recording was at
 readers, nerfstudio's record3d_utils.py (poses, K, the export) and USA-Net's r3d.py (zip, LZFSE, confidence, axes).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

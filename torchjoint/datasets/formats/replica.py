@@ -7,8 +7,6 @@ traj.txt                     a line for each frame (or the first ones): 16 numbe
 ../ROOM_mesh.ply             the cloud: its vertices (optional: fused from depth if absent)
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

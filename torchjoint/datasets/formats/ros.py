@@ -15,8 +15,6 @@ how many. The world is the root of the tree of tf, or the frame of the odometry.
 own poses, and thinned to one point per voxel.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -29,20 +27,8 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import invert_pose
+from torchjoint.datasets.files import ros_messages as messages
 from torchjoint.datasets.files.ros_bag import SUFFIXES, Bag, Stamp
-from torchjoint.datasets.files.ros_messages import (
-    COMPRESSED,
-    IMAGE,
-    ODOMETRY,
-    Poses,
-    camera,
-    cloud_points,
-    color_image,
-    depth_image,
-    has_region,
-    is_depth,
-    matrices_of,
-)
 from torchjoint.datasets.formats.tum import associate
 from torchjoint.datasets.recording import Options, Shot, find_cloud, posed, read_shots, scene_of_frames, tell_left_out
 from torchjoint.runtime.foreign_files import has_file
@@ -79,7 +65,7 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     bag = Bag(path)
-    poses = Poses(bag, options.time_limit)
+    poses = messages.Poses(bag, options.time_limit)
     topics = _find_topics(bag, poses, options.topics)
     frame = _frame(bag.first(topics.color))
     if topics.odometry is not None and topics.odometry != STILL:
@@ -93,15 +79,15 @@ def load(path: Path, options: Options) -> Scene:
     return Scene(points, frames, colors, name=path.stem)
 
 
-def _find_topics(bag: Bag, poses: Poses, chosen: Mapping[str, str]) -> _Topics:
+def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> _Topics:
     unknown = [role for role in chosen if role not in ROLES]
     if unknown:
         raise ValueError(f"topics: expected some of {', '.join(ROLES)}, got {', '.join(unknown)}")
     for role, topic in chosen.items():
         if topic not in bag.kinds and (role, topic) != ("odometry", STILL):
             raise ValueError(f"topics: {role}: {bag.path} has no messages of {topic}; it has {', '.join(bag.kinds)}")
-    heads = {topic: bag.first(topic) for topic in bag.topics(IMAGE, COMPRESSED)}
-    color = _only("color", [topic for topic, head in heads.items() if not is_depth(head)], chosen, bag)
+    heads = {topic: bag.first(topic) for topic in bag.topics(messages.IMAGE, messages.COMPRESSED)}
+    color = _only("color", [topic for topic, head in heads.items() if not messages.is_depth(head)], chosen, bag)
     if color is None:
         raise ValueError(f"{bag.path}: expected colour images, got topics {', '.join(bag.kinds) or 'none'}")
     frame = _frame(heads[color] if color in heads else bag.first(color))
@@ -110,15 +96,15 @@ def _find_topics(bag: Bag, poses: Poses, chosen: Mapping[str, str]) -> _Topics:
     info = _only("info", of_frame or infos, chosen, bag)
     if info is None:
         raise ValueError(f"{bag.path}: expected a topic of CameraInfo for {color}, got {', '.join(bag.kinds)}")
-    depths = [topic for topic, head in heads.items() if is_depth(head) and _frame(head) == frame]
+    depths = [topic for topic, head in heads.items() if messages.is_depth(head) and _frame(head) == frame]
     depth = _only("depth", depths, chosen, bag)
     points = _only("points", bag.topics(POINTS) if depth is None else (), chosen, bag)
-    best = () if poses.moves(frame) else next(filter(None, map(bag.topics, ODOMETRY)), ())
+    best = () if poses.moves(frame) else next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
     odometry = _only("odometry", best, chosen, bag)
     return _Topics(color, info, None if "points" in chosen else depth, points, odometry)
 
 
-def _check_poses(bag: Bag, topics: _Topics, poses: Poses, frame: str) -> None:
+def _check_poses(bag: Bag, topics: _Topics, poses: messages.Poses, frame: str) -> None:
     """A camera whose poses are missing must not count as one that stands still."""
     if topics.points is not None and poses.root(of_points := _frame(bag.first(topics.points))) != poses.root(frame):
         raise ValueError(
@@ -131,7 +117,7 @@ def _check_poses(bag: Bag, topics: _Topics, poses: Poses, frame: str) -> None:
     if not poses.names(frame):
         raise ValueError(
             f"{bag.path}: expected poses of the camera, frame {frame!r}, in tf, or as "
-            f"{', '.join(kind.rpartition('/')[2] for kind in ODOMETRY)}, got "
+            f"{', '.join(kind.rpartition('/')[2] for kind in messages.ODOMETRY)}, got "
             f"{f'none in {topics.odometry}' if topics.odometry else 'none'}; record them, or name their topic "
             f"(--topics odometry=TOPIC); {way_out}"
         )
@@ -155,7 +141,7 @@ def _frame(message: Any) -> str:
     return str(message.header.frame_id).lstrip("/")
 
 
-def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[Frame]:
+def _frames(bag: Bag, topics: _Topics, poses: messages.Poses, limit: float) -> Sequence[Frame]:
     colors, total = bag.stamps(topics.color), bag.counts[topics.color]
     why = "have the time of another in their header,"
     tell_left_out(f"{bag.path}: {topics.color}", total - len(colors), total, why)
@@ -165,27 +151,27 @@ def _frames(bag: Bag, topics: _Topics, poses: Poses, limit: float) -> Sequence[F
     kept = posed(list(enumerate(at)), str(bag.path), "tf or odometry", limit)
     rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
     info = bag.first(topics.info)
-    changed = [repr(matrices_of(one)) != repr(matrices_of(info)) for one in bag.messages(topics.info)]
+    changed = [repr(messages.matrices_of(one)) != repr(messages.matrices_of(info)) for one in bag.messages(topics.info)]
     if any(changed):
         told = f"{sum(changed)} of {len(changed)} messages have another camera than the first, taken for all images"
         warnings.warn(f"{bag.path}: {topics.info}: {told}", stacklevel=3)
     _tell_pair(bag, topics, info, rectified)
-    has_part = has_region(info)
-    size = color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape[1:] if has_part else None
-    lens = camera(info, rectified, f"{bag.path}: {topics.info}", size)
+    has_part = messages.has_region(info)
+    size = messages.color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape[1:] if has_part else None
+    lens = messages.camera(info, rectified, f"{bag.path}: {topics.info}", size)
     shots = []
     for index, pose in kept:
         name, depth = f"{colors[index].time:.6f}", None
         if topics.depth is not None and index in depth_of:
-            depth = partial(_read, depth_image, bag, topics.depth, depths[depth_of[index]], name)
-        color = partial(_read, color_image, bag, topics.color, colors[index], name)
+            depth = partial(_read, messages.depth_image, bag, topics.depth, depths[depth_of[index]], name)
+        color = partial(_read, messages.color_image, bag, topics.color, colors[index], name)
         shots.append(Shot(color, lens, invert_pose(pose), name, depth))
     return read_shots(shots)
 
 
 def _tell_pair(bag: Bag, topics: _Topics, info: Any, rectified: bool) -> None:
     """P of the right camera of a stereo pair has a shift, and R of both turns them: poses may be without these."""
-    frame, (_, P, _, R) = _frame(bag.first(topics.color)), matrices_of(info)
+    frame, (_, P, _, R) = _frame(bag.first(topics.color)), messages.matrices_of(info)
     if (P[3] or P[7]) and sum(_frame(bag.first(topic)) == frame for topic in bag.topics(INFO)) > 1:
         told = f"another camera has the frame {frame!r}, too; P of {topics.info} has a shift, as of a stereo pair's"
         warnings.warn(f"{bag.path}: {told} right camera, which is not applied; check the poses", stacklevel=4)
@@ -199,7 +185,7 @@ def _read(convert: Callable[[Any, str], Tensor], bag: Bag, topic: str, stamp: St
     return convert(bag.read(topic, stamp), f"{bag.path}: {topic} at {name}")
 
 
-def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tuple[Tensor, Tensor | None]:
+def _merged_scans(bag: Bag, topic: str, poses: messages.Poses, voxel_size: float) -> tuple[Tensor, Tensor | None]:
     """The points [N, 3] float64 of all scans in the world, one per voxel, and their colours if every scan has them."""
     stamps = bag.stamps(topic)
     at = poses.world_from(_frame(bag.first(topic)), [one.time for one in stamps])
@@ -208,7 +194,7 @@ def _merged_scans(bag: Bag, topic: str, poses: Poses, voxel_size: float) -> tupl
     for stamp, pose in zip(stamps, at, strict=True):
         if pose is None:
             continue
-        scan, no_return = cloud_points(bag.read(topic, stamp), f"{bag.path}: {topic}")
+        scan, no_return = messages.cloud_points(bag.read(topic, stamp), f"{bag.path}: {topic}")
         used, colored = used + 1, colored + (scan.colors is not None)
         without, given = without + no_return, given + no_return + len(scan.points)
         points = torch.cat([points, scan.points @ pose[:3, :3].T + pose[:3, 3]])

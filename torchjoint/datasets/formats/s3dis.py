@@ -7,8 +7,6 @@ The points are those of Annotations/, file after file, sorted by name, as in Poi
 instance of a point is the number of its file. No room was at hand: the layout is that of public readers.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import warnings

@@ -30,19 +30,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchjoint.datasets import recording
 from torchjoint.datasets.cameras import pinhole_matrix, register_depth, stretch_intrinsics, world_to_camera
 from torchjoint.datasets.files.binary import BinaryFile
 from torchjoint.datasets.files.readers import decode_image, read_depth, read_image, read_image_size, read_matrix, rgb_of
 from torchjoint.datasets.files.text import Record, parse_numbers
-from torchjoint.datasets.recording import (
-    Frames,
-    Options,
-    read_shots,
-    scene_of_frames,
-    sorted_images,
-    tell_left_out,
-    tell_lost,
-)
 from torchjoint.datasets.truth import image_instances, vertex_instances
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import (
@@ -88,12 +80,14 @@ def recognizes(path: Path) -> bool:
     return own or (exported and has_frames(path))
 
 
-def load(path: Path, options: Options) -> Scene:
+def load(path: Path, options: recording.Options) -> Scene:
     folder, scan = (path.parent, path.stem) if has_file(path) else (path, path.name)
     frames = _read_frames(folder, scan)
     instances, images = partial(vertex_instances, folder, scan), image_instances(folder, scan, frames)
     clouds = [folder / f"{scan}{CLOUD}"]
-    return replace(scene_of_frames(folder, frames, options, clouds, instances=instances, images=images), name=scan)
+    return replace(
+        recording.scene_of_frames(folder, frames, options, clouds, instances=instances, images=images), name=scan
+    )
 
 
 def scenes(path: Path) -> dict[str, Path]:
@@ -103,7 +97,7 @@ def scenes(path: Path) -> dict[str, Path]:
     return {one.name: one for one in folders if or_unreadable(recognizes, one)}
 
 
-def _read_frames(folder: Path, scan: str) -> Frames:
+def _read_frames(folder: Path, scan: str) -> recording.Frames:
     if has_file(folder / f"{scan}.sens"):
         stream = SensFile(folder / f"{scan}.sens")
         cameras = SceneCameras(
@@ -116,7 +110,7 @@ def _read_frames(folder: Path, scan: str) -> Frames:
     if not has_frames(folder):
         if has_folder(folder / "color"):
             raise FileNotFoundError(f"{folder / 'pose'}: missing; expected the poses of the images in color/")
-        return read_shots(())
+        return recording.read_shots(())
     found = find_cameras(folder, folder / f"{scan}.txt")
     if found is None:
         raise FileNotFoundError(f"{folder}/intrinsic/intrinsic_color.txt: missing, and {scan}.txt has no calibration")
@@ -128,7 +122,7 @@ def has_frames(folder: Path) -> bool:
     return has_folder(folder / "color") and has_folder(folder / "pose")
 
 
-def read_frames(folder: Path, cameras: SceneCameras) -> Frames:
+def read_frames(folder: Path, cameras: SceneCameras) -> recording.Frames:
     """Returns the frames with valid poses, sorted by number; each frame is read on access.
 
     Poses are camera-to-world, OpenCV axes, metres. Where tracking was lost, poses hold -inf; these frames are left out.
@@ -139,14 +133,16 @@ def read_frames(folder: Path, cameras: SceneCameras) -> Frames:
         cameras: colour and depth cameras.
     """
     files = (file for file in (folder / "color").iterdir() if file.suffix.lower() in _SUFFIXES)
-    images = sorted_images(folder / "color", files)
+    images = recording.sorted_images(folder / "color", files)
     return frames_of(folder, images, cameras, (folder / "pose", folder / "depth"))
 
 
-def frames_of(folder: Path, images: Sequence[Path], cameras: SceneCameras, beside: tuple[Path, Path]) -> Frames:
+def frames_of(
+    folder: Path, images: Sequence[Path], cameras: SceneCameras, beside: tuple[Path, Path]
+) -> recording.Frames:
     """Returns the frames with valid poses, in the order of `images`; poses and depth are in the folders `beside`."""
     names = [file.stem for file in images]
-    tell_lost(str(folder), (file.stem for file in beside[0].glob("*.txt") if file.stem.isdigit()), names)
+    recording.tell_lost(str(folder), (file.stem for file in beside[0].glob("*.txt") if file.stem.isdigit()), names)
     files, depths = [beside[0] / f"{name}.txt" for name in names], [beside[1] / f"{name}.png" for name in names]
 
     firsts = [file for file in (next(filter(has_file, one), None) for one in (images, depths)) if file is not None]
@@ -170,10 +166,10 @@ def _frames(
     cameras: SceneCameras,
     read: Callable[[int], tuple[Tensor, Tensor | None]],
     has_depth: Callable[[int], bool],
-) -> Frames:
+) -> recording.Frames:
     """The frames with finite poses; each pose has its name for messages; `read` gives colours and depth of a frame."""
     kept = [i for i, (_, pose) in enumerate(poses) if torch.isfinite(pose).all()]
-    tell_left_out(str(source), len(poses) - len(kept), len(poses))
+    recording.tell_left_out(str(source), len(poses) - len(kept), len(poses))
     extrinsics = {i: world_to_camera(poses[i][1], poses[i][0]) for i in kept}
 
     def frame(place: int) -> Frame:
@@ -188,7 +184,7 @@ def _frames(
             depth = register_depth(depth, depth_intrinsics, intrinsics, size)
         return Frame(image, intrinsics, extrinsics[i], depth=depth, name=names[i])
 
-    return Frames(len(kept), frame, [names[i] for i in kept], lambda place: has_depth(kept[place]))
+    return recording.Frames(len(kept), frame, [names[i] for i in kept], lambda place: has_depth(kept[place]))
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,6 @@ of transforms*.json are not read: their world is not that of the mesh. No scene 
 toolkit, github.com/scannetpp/scannetpp (common/scene_release.py, iphone/arkit_pcl.py, semantic/transforms/mesh.py).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

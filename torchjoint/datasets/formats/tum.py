@@ -15,8 +15,6 @@ Without camera-intrinsics.txt, the name of the folder or of one above it (freibu
 calibration, and colour and depth are undistorted. Other names are an error: recordings of this layout have all cameras.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

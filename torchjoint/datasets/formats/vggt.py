@@ -11,8 +11,6 @@ images/         beside it, optional: the names of the frames
 The network knows no metres. All lengths are multiplied by one number, so that the median depth is DISTANCE.
 """
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

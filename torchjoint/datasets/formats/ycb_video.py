@@ -9,8 +9,6 @@ An object occurs once in a sequence, so its number is its instance. The rest of 
 The cloud is `cloud.ply`, or fused from depth.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

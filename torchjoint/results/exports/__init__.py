@@ -3,8 +3,6 @@
 A format is a function ``export(path, result)``, which writes a file if `SUFFIXES` has its name, and otherwise a folder.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Labels of points for such a program are here, too; :mod:`torchjoint.results.shared_edits` reads them.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import warnings
@@ -14,15 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from torchjoint.results.boxes import (
-    LEVEL,
-    boxes_of,
-    datumaro_record,
-    labelcloud_record,
-    openpcdet_lines,
-    segmentsai_label,
-    segmentsai_object,
-)
+from torchjoint.results import boxes
 from torchjoint.results.objects import members, segment_records
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
@@ -68,7 +58,7 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
             a warning tells.
     """
     up = float(up_direction(result.scene)[2])
-    if up < LEVEL:
+    if up < boxes.LEVEL:
         told = f"footprints are seen along z, but up in this scene is {math.degrees(math.acos(up)):.0f} degrees away"
         warnings.warn(f"{told} from it", stacklevel=3)
     if epsg is None:
@@ -137,7 +127,7 @@ def _area(ring: Array) -> float:
 @on_cpu()
 def export_openpcdet(path: Path, result: Result) -> None:
     """Writes a label file of OpenPCDet's custom data sets: a line ``x y z dx dy dz heading name`` for each segment."""
-    write_text(path, openpcdet_lines(boxes_of(result).values()))
+    write_text(path, boxes.openpcdet_lines(boxes.boxes_of(result).values()))
 
 
 @on_cpu()
@@ -146,20 +136,20 @@ def export_labelcloud(path: Path, result: Result, cloud: Path | None = None) -> 
 
     `cloud` is where labelCloud finds it; default: beside `path`, with the same name.
     """
-    record = labelcloud_record(boxes_of(result).values(), path.with_suffix(".ply") if cloud is None else cloud)
+    record = boxes.labelcloud_record(boxes.boxes_of(result).values(), cloud or path.with_suffix(".ply"))
     write_text(path, json.dumps(record, indent=1, ensure_ascii=False))
 
 
 @on_cpu()
 def export_cuboids(path: Path, result: Result) -> None:
     """Writes the boxes as a label of cuboids of Segments.ai; its cloud is ``points.ply`` of the result."""
-    write_text(path, json.dumps(segmentsai_label(boxes_of(result)), indent=1, ensure_ascii=False))
+    write_text(path, json.dumps(boxes.segmentsai_label(boxes.boxes_of(result)), indent=1, ensure_ascii=False))
 
 
 @on_cpu()
 def export_cvat(path: Path, result: Result) -> None:
     """Writes the boxes as CVAT reads them (format Datumaro 3D); its cloud is ``points.ply`` of the result, as .pcd."""
-    write_text(path, json.dumps(datumaro_record(boxes_of(result).values()), ensure_ascii=False))
+    write_text(path, json.dumps(boxes.datumaro_record(boxes.boxes_of(result).values()), ensure_ascii=False))
 
 
 @on_cpu()
@@ -168,7 +158,7 @@ def export_point_labels(path: Path, result: Result) -> None:
     found = [segment for segment in result.points.unique().tolist() if segment >= 0]
     label = {
         "format_version": "0.1",
-        "annotations": [segmentsai_object(one, result.segment_names.get(one, "")) for one in found],
+        "annotations": [boxes.segmentsai_object(one, result.segment_names.get(one, "")) for one in found],
         "point_annotations": (result.points + 1).clamp(min=0).tolist(),
     }
     write_text(path, json.dumps(label, ensure_ascii=False))

@@ -1,7 +1,5 @@
 """Clouds with labels: a PLY for each segment, one LAS file, one archive of arrays."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

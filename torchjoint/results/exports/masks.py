@@ -1,7 +1,5 @@
 """Exports of a result's masks: PNG, SAM, COCO, OpenMask3D, ScanNet."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -3,8 +3,6 @@
 No feature has a unit of length. Lengths are divided by the noise, the spacing, or another length of the cloud.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -6,8 +6,6 @@ the same accidental merge. Two superpoints are kept together where most of their
 also see jittered copies of the cloud (:func:`jittered`), because superpoints grow greedily, too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

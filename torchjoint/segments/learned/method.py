@@ -3,8 +3,6 @@
 It measures distances in units of the cloud's noise and spacing.
 """
 
-from __future__ import annotations
-
 from torchjoint.cloud.graph import PointGraph, build_point_graph
 from torchjoint.cloud.local import LocalFrame, local_cloud
 from torchjoint.cloud.scales import working_cloud

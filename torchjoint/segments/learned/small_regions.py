@@ -4,8 +4,6 @@ What neither the members nor a mask have taken up to the default level would be 
 in a room.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

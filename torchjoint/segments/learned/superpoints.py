@@ -4,8 +4,6 @@ The points are first grouped into small superpoints, which are never split again
 be part of a boundary, so only these are measured.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import NamedTuple

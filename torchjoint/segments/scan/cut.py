@@ -1,7 +1,5 @@
 """Step 6, method scan: which nodes of a scan's tree are whole, and which fall into their parts."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

@@ -1,7 +1,5 @@
 """Step 6, method scan: the ground of a scan."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

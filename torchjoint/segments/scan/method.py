@@ -1,7 +1,5 @@
 """Step 6, method scan: segments one scan of a LiDAR into ground and objects, without images."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """Recognises a scan of a LiDAR: by its rings, or by how its points depend on range."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Step 6, method scan: the parts of a scan over growing gaps, which are a tree, and what is known about its nodes."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
