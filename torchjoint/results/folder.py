@@ -35,6 +35,8 @@ from torchjoint.results.manifest import (
     PNG,
     SUPERPOINTS,
     Check,
+    check_same,
+    manifest_checksum,
     open_manifest,
     read_hierarchy,
     read_superpoint_image,
@@ -196,9 +198,7 @@ def read_result(folder: Path, check: Check = unchecked) -> Segmentation:
     of_superpoint = torch.zeros(hierarchy.num_superpoints, dtype=torch.int64)
     of_superpoint[hierarchy.superpoint] = labels
     if not torch.equal(of_superpoint[hierarchy.superpoint], labels):
-        raise ValueError(
-            f"{folder / HIERARCHY}: expected superpoints that lie inside one segment of points.npz, got others"
-        )
+        raise ValueError(f"{folder / HIERARCHY}: expected superpoints inside one segment of points.npz, got others")
 
     def superpoints(index: int) -> Tensor:
         return read_superpoint_image(check(folder / SUPERPOINTS / files[index].name), hierarchy.num_superpoints)
@@ -330,6 +330,7 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
         result.images[0], result.at(0.3), result.crops(7, k=3)[0].image
     """
     folder = Path(folder)
+    of = manifest_checksum(folder)
     stored, config = read_points(folder), read_config(folder)
     check = open_manifest(folder) if verify else unchecked
     segmentation = read_result(folder, check)
@@ -341,10 +342,11 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name, up=up)
     values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
     names, vectors = names_of_masks(folder), read_embeddings(folder, len(stored.points))
-    result = Result(**values, scene=scene, config=config, saved_embeddings=vectors, segment_names=names)
-    if not edits or not has_file(folder / EDITS):
-        return result
-    return edited(result, read_edits(folder, Parts(result).count))
+    result = Result(**values, scene=scene, config=config, saved_embeddings=vectors, segment_names=names, manifest=of)
+    if edits and has_file(folder / EDITS):
+        result = edited(result, read_edits(folder, Parts(result).count))
+    check_same(folder, of)
+    return result
 
 
 def _check_counts(folder: Path, result: Segmentation) -> None:
