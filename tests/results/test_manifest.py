@@ -11,6 +11,7 @@ import yaml
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.results.edits import read_edits
 from torchjoint.results.folder import write_result
 
 OLD = Path(__file__).parents[1] / "samples" / "result-0.1.0"
@@ -167,6 +168,26 @@ def test_parts_of_two_levels(out, outs, part):
         return
     with pytest.raises(ValueError, match=r"expected the (file|record)"):
         read_all(out)
+
+
+def test_a_result_that_was_replaced_says_so(out, outs, monkeypatch):
+    """It counted as damaged; corrections of its superpoints went into the folder of the other one."""
+    result, told = tj.load_result(out), "expected the result that was opened, got another"
+
+    def replaced(*_):
+        shutil.rmtree(out)
+        shutil.copytree(outs[1], out)
+
+    replaced()
+    with pytest.raises(ValueError, match=told):
+        result.images[0]
+    with pytest.raises(ValueError, match=told):
+        read_edits(out, result.hierarchy.num_superpoints, result.manifest)
+    shutil.rmtree(out)
+    shutil.copytree(outs[0], out)
+    monkeypatch.setattr("torchjoint.results.folder.read_embeddings", replaced)
+    with pytest.raises(ValueError, match=told):
+        tj.load_result(out)
 
 
 def test_the_way_out(out):

@@ -3,7 +3,9 @@
 import os
 import shutil
 import struct
+import zlib
 from contextlib import nullcontext
+from functools import partial
 
 import laspy
 import numpy as np
@@ -88,6 +90,21 @@ def test_a_run_that_dies_goes_on_tile_by_tile(cloud, tmp_path, monkeypatch):
     assert sorted(done + again) == sorted({*done, *again})
     assert len(again) == made.num_tiles - 2
     assert (tmp_path / "out.las").read_bytes() == (tmp_path / "whole.las").read_bytes()
+
+
+def test_damaged_points_of_a_killed_run_are_told(cloud, tmp_path, monkeypatch):
+    """A file that had become shorter, or a flipped bit, gave other superpoints in silence."""
+    make = partial(superpoints_of_files, cloud, tmp_path / "out.las", tile=7, buffer=1, engine="loky:1")
+    monkeypatch.setattr(tiles, "_segment", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        make()
+    monkeypatch.undo()
+    points = tmp_path / "out.las.tiles" / "points" / "000001.points"
+    whole = points.read_bytes()
+    for damaged in (whole[: len(whole) // 2], whole[:-9] + bytes([whole[-9] ^ 1]) + whole[-8:]):
+        points.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"000001\.points: damaged; remove .*out\.las\.tiles and start again"):
+            make()
 
 
 def test_a_folder_of_files_is_one_cloud(tmp_path):
@@ -383,7 +400,7 @@ def test_a_tile_tells_which_superpoints_may_go_on(tmp_path):
     records["number"], records["kind"] = np.arange(len(records)), OWN | SHARED
     records["xyz"] = (corners[:, None] + grid).reshape(-1, 3)
     records.tofile(tmp_path / "one.points")
-    task = TileTask(tmp_path / "one.points", tmp_path / "one.npz", (2.0, 1.0), 1.0)
+    task = TileTask(tmp_path / "one.points", tmp_path / "one.npz", (2.0, 1.0), 1.0, zlib.crc32(records.data))
     segment_tile(None, SuperpointsConfig(), task)
     assert read_shared(task.labels).whole_size.tolist() == [len(grid), len(grid), 0]
     assert not task.points.exists()

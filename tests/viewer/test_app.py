@@ -124,6 +124,19 @@ def test_a_page_that_ends_has_no_thread_at_work(out):
     assert worker not in threading.enumerate()
 
 
+def test_a_page_of_a_damaged_image_ends_no_thread(out, tmp_path, monkeypatch):
+    """The terminal got a traceback of a thread, such as when a run replaced the result."""
+    folder, raised = shutil.copytree(out, tmp_path / "out"), []
+    monkeypatch.setattr(threading, "excepthook", lambda error: raised.append(error.exc_value))
+    monkeypatch.setattr("torchjoint.viewer.app.Viewer._draw_image", lambda viewer: None)  # which would tell
+    for image in (folder / "pieces").iterdir():
+        image.write_bytes(b"")
+    viewer = opened(folder, 8990)
+    viewer._workers[-1].join()
+    viewer.stop()
+    assert raised == []
+
+
 def test_a_survey_is_as_exact_as_a_room(out):
     """The page has float32: its points stood in steps of a quarter of a metre."""
     from torchjoint.viewer.app import Viewer

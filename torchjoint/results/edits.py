@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order
 
 from torchjoint import ops
-from torchjoint.results.manifest import manifest_checksum
+from torchjoint.results.manifest import check_same, manifest_checksum
 from torchjoint.runtime import bounds
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, read_json
@@ -53,9 +53,7 @@ def split(table: Table, superpoints: tuple[int, ...], hierarchy: Hierarchy | Non
     if len(superpoints) == 3:
         cut = np.nonzero((merges == superpoints[1:]).all(axis=1))[0]
         if not len(cut):
-            raise ValueError(
-                f"split: expected a merge of the hierarchy, got superpoints {superpoints[1]} and {superpoints[2]}"
-            )
+            raise ValueError(f"split: expected a merge of the hierarchy, got superpoints {superpoints[1:]}")
         if cut[0] not in own:
             return table
         parts = _parts(np.delete(merges[own], np.searchsorted(own, cut[0]), axis=0), len(table))
@@ -63,9 +61,7 @@ def split(table: Table, superpoints: tuple[int, ...], hierarchy: Hierarchy | Non
         rest = inside & (parts == parts[away])
     else:
         if inside.sum() < 2:
-            raise ValueError(
-                f"split: expected a segment of several superpoints, got {int(table[superpoints[0]])} with one"
-            )
+            raise ValueError(f"split: expected a segment of several superpoints, got {table[superpoints[0]]} with one")
         parts = _parts(merges[own], len(table))
         if len(np.unique(parts[inside])) == 1:  # undo the last merge
             parts = _parts(np.delete(merges[own], _last(heights[own]), axis=0), len(table))
@@ -204,9 +200,13 @@ def _named(one: Edit) -> dict[str, Any]:
     return {"name": one.name, "granularity": one.granularity} if one.kind == "name" else {}
 
 
-def read_edits(folder: Path, num_superpoints: int) -> Edits:
-    """The corrections of a result; none without edits.json. Files of 0.1.0 do not say of which result they are."""
+def read_edits(folder: Path, num_superpoints: int, opened: str | None = None) -> Edits:
+    """The corrections of a result; none without edits.json. Files of 0.1.0 do not say of which result they are.
+
+    `opened` is the manifest of the result that was read before, which must still be there.
+    """
     file, own = folder / FILE, manifest_checksum(folder)
+    check_same(folder, opened)
     if not has_file(file):
         return Edits(num_superpoints, of=own)
     with damage_is(f"{file}: not a list of edits"):

@@ -183,9 +183,8 @@ def read_result(folder: Path, check: manifest.Check = manifest.unchecked) -> Seg
     of_superpoint = torch.zeros(hierarchy.num_superpoints, dtype=torch.int64)
     of_superpoint[hierarchy.superpoint] = labels
     if not torch.equal(of_superpoint[hierarchy.superpoint], labels):
-        raise ValueError(
-            f"{folder / manifest.HIERARCHY}: expected superpoints that lie inside one segment of points.npz, got others"
-        )
+        file = folder / manifest.HIERARCHY
+        raise ValueError(f"{file}: expected superpoints inside one segment of points.npz, got others")
 
     def superpoints(index: int) -> Tensor:
         file = folder / manifest.SUPERPOINTS / files[index].name
@@ -307,6 +306,7 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
         result.images[0], result.at(0.3), result.crops(7, k=3)[0].image
     """
     folder = Path(folder)
+    of = manifest.manifest_checksum(folder)
     stored, config = read_points(folder), read_origin(folder).config
     check = manifest.open_manifest(folder) if verify else manifest.unchecked
     segmentation = read_result(folder, check)
@@ -318,10 +318,11 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name, up=up)
     values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
     names, vectors = names_of_masks(folder), read_embeddings(folder, len(stored.points))
-    result = Result(**values, scene=scene, config=config, saved_embeddings=vectors, segment_names=names)
-    if not edits or not has_file(folder / EDITS):
-        return result
-    return edited(result, read_edits(folder, Parts(result).count))
+    result = Result(**values, scene=scene, config=config, saved_embeddings=vectors, segment_names=names, manifest=of)
+    if edits and has_file(folder / EDITS):
+        result = edited(result, read_edits(folder, Parts(result).count))
+    manifest.check_same(folder, of)
+    return result
 
 
 def _check_counts(folder: Path, result: Segmentation) -> None:

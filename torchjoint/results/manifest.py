@@ -46,6 +46,12 @@ def manifest_checksum(folder: Path) -> str | None:
     return file_checksum(folder / FILE) if (folder / FILE).is_file() else None
 
 
+def check_same(folder: Path, opened: str | None) -> None:
+    """Checks that a folder still has the result of this manifest: a run may have replaced it."""
+    if opened not in (None, manifest_checksum(folder)):
+        raise ValueError(f"{folder}: expected the result that was opened, got another, or none; open it again")
+
+
 def unchecked(path: Path) -> Path:
     """Returns the path."""
     return path
@@ -54,22 +60,21 @@ def unchecked(path: Path) -> Path:
 def open_manifest(folder: Path) -> Check:
     """Checks what a result consists of; returns the check of single files, for those that are read later."""
     record = read_yaml(folder / RUN, dict, "a record of a run")
-    if not has_file(folder / FILE):
-        if "manifest" not in record:  # of version 0.1.0
-            return unchecked
-        raise FileNotFoundError(f"{folder / FILE}: missing; expected the list of a result's files{_WAY_OUT}")
-    files = _read(folder / FILE, record)
+    if "manifest" not in record and not has_file(folder / FILE):  # of version 0.1.0
+        return unchecked
+    present(folder / FILE, f"the list of a result's files{_WAY_OUT}")
+    opened, files = manifest_checksum(folder), _read(folder / FILE, record)
     names = set(_names(folder))
     for name in sorted(files.keys() - names):
-        has_file(folder / name)  # a dead link is not found either
-        raise FileNotFoundError(f"{folder / name}: missing; expected a whole result{_WAY_OUT}")
+        present(folder / name, f"a whole result{_WAY_OUT}")
     for name in sorted(names - files.keys()):
         raise ValueError(f"{folder / name}: expected only files that the run wrote, got another{_WAY_OUT}")
 
     def check(path: Path) -> Path:
-        present(path, "a file of a result")
         entry = files.get(path.relative_to(folder).as_posix())
-        if entry != [path.stat().st_size, file_checksum(path)]:
+        if not has_file(path) or entry != [path.stat().st_size, file_checksum(path)]:
+            check_same(folder, opened)
+            present(path, "a file of a result")
             raise ValueError(f"{path}: expected the file that the run wrote, got another, or a damaged one{_WAY_OUT}")
         return path
 
@@ -181,8 +186,6 @@ def read_superpoint_image(path: Path, num_superpoints: int) -> Tensor:
     """Reads an image of superpoints; returns [H, W] int64, -1 = none."""
     red, green, blue = read_image(path).to(torch.int64)
     superpoints = (red << 16) + (green << 8) + blue - 1
-    if int(superpoints.max()) >= num_superpoints:
-        raise ValueError(
-            f"{path}: expected superpoints below {num_superpoints}, got {int(superpoints.max())}; of another result?"
-        )
+    if (last := int(superpoints.max())) >= num_superpoints:
+        raise ValueError(f"{path}: expected superpoints below {num_superpoints}, got {last}; of another result?")
     return superpoints

@@ -31,12 +31,14 @@ class Result(Segmentation):
         config: the parameters of the run; None if unknown.
         segment_names: names that were given by hand, or that most masks of a segment have, by id.
         saved_embeddings: the vectors that were saved with the result, of the segments at that time.
+        manifest: checksum of the manifest of the folder that it was read from; None: of none.
     """
 
     scene: Scene = field(kw_only=True)
     config: Config | None = field(default=None, kw_only=True)
     segment_names: Mapping[int, str] = field(default_factory=dict, kw_only=True)
     saved_embeddings: Embeddings | None = field(default=None, kw_only=True)
+    manifest: str | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(cls, segmentation: Segmentation, scene: Scene, config: Config | None = None) -> Result:

@@ -55,10 +55,9 @@ class _Cut(NamedTuple):
     """The tiles of a cloud, after their points were written."""
 
     num_points: int
-    num_tiles: int
     white: int | None
     neighbors: list[tuple[int, int]]
-    tile_sizes: list[tuple[float, float]]  #: metres
+    tiles: list[tuple[tuple[float, float], int]]  #: size, metres; checksum of the points
     buffer: float  #: metres
 
 
@@ -130,7 +129,7 @@ def superpoints_of_files(
         made = work / "result" if cloud.is_dir() else work / "result" / out.name
         put(made, out, before, work / "replaced")  # all of them in one step
         shutil.rmtree(work)
-    return TiledCloud(cut.num_points, num_superpoints, cut.num_tiles)
+    return TiledCloud(cut.num_points, num_superpoints, len(cut.tiles))
 
 
 def is_las(path: Path) -> bool:
@@ -170,9 +169,8 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
         raise FileNotFoundError(f"out: expected an existing folder, got {out.parent}")
     check_no_input(out, (cloud, *files), "out")
     if out.is_symlink() or (out.exists() and out.is_dir() != cloud.is_dir()):
-        raise FileExistsError(
-            f"{out}: expected no link, and a {'folder' if cloud.is_dir() else 'file'}; choose another name"
-        )
+        kind = "folder" if cloud.is_dir() else "file"
+        raise FileExistsError(f"{out}: expected no link, and a {kind}; choose another name")
     if out.exists() and not overwrite:
         raise FileExistsError(f"{out}: exists already; choose another name, or --overwrite")
     names = Counter(_result_name(file) for file in files)
@@ -207,28 +205,28 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
         folder.mkdir()
         found = survey(files, tile)
         width = BUFFER_SPACINGS * found.spacing() if buffer is None else buffer
-        if tile is not None and buffer is None:
-            width = min(width, tile / NARROWEST)
-        width = min(width, 2 * found.side * max(found.counts.shape))  # more is the same
+        most = np.inf if tile is None or buffer is not None else tile / NARROWEST
+        width = min(width, most, 2 * found.side * max(found.counts.shape))  # more is the same
         plan = plan_tiles(found, tile, width, MOST_POINTS)
         if len(plan.tiles) > 1 and width < (least := 5 * found.spacing()):
             told = f"a buffer of {width:.3g} m is little; below {least:.3g} m the edges of tiles show"
             warnings.warn(f"{told}: give a larger {'tile' if buffer is None else 'buffer'}", stacklevel=3)
         _check_disk(work, found.num_points, found.whites is not None)
         with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=hidden) as bar:
-            split_points(files, found, plan, folder, bar.update)
+            checksums = split_points(files, found, plan, folder, bar.update)
         with atomic_write(marker) as partial:
             np.savez(
                 partial,
-                sizes=np.array([found.num_points, len(plan.tiles), 65535 if found.whites else 0]),
+                numbers=np.array([found.num_points, 65535 if found.whites else 0, plan.buffer]),
+                checksums=np.array(checksums),
                 neighbors=np.array(plan.neighbors(found), np.int64).reshape(-1, 2),
                 metres=np.array([np.subtract(one.end, one.first) for one in plan.tiles]) * found.side,
-                buffer=np.array(plan.buffer),
             )
     arrays = read_archive(marker)
-    num_points, num_tiles, white = arrays["sizes"].tolist()
+    num_points, white, width = arrays["numbers"].tolist()
     neighbors, metres = ([(one, other) for one, other in arrays[name].tolist()] for name in ("neighbors", "metres"))
-    return _Cut(num_points, num_tiles, white or None, neighbors, metres, float(arrays["buffer"]))
+    tiles = [*zip(metres, arrays["checksums"].tolist(), strict=True)]
+    return _Cut(int(num_points), int(white) or None, neighbors, tiles, width)
 
 
 def _check_disk(work: Path, num_points: int, colored: bool) -> None:
@@ -242,12 +240,12 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLik
     """Segments the tiles without labels, several at a time; a single tile is segmented in this process."""
     (work / "labels").mkdir(exist_ok=True)
     tasks = [
-        TileTask(tile_file(work / "points", number), _labels_file(work, number), size, cut.buffer)
-        for number, size in enumerate(cut.tile_sizes)
+        TileTask(tile_file(work / "points", number), _labels_file(work, number), size, cut.buffer, checksum)
+        for number, (size, checksum) in enumerate(cut.tiles)
         if not _labels_file(work, number).is_file()
     ]
-    with tqdm(total=cut.num_tiles, desc="segment", unit="tile", disable=hidden) as bar:
-        bar.update(cut.num_tiles - len(tasks))
+    with tqdm(total=len(cut.tiles), desc="segment", unit="tile", disable=hidden) as bar:
+        bar.update(len(cut.tiles) - len(tasks))
         if len(tasks) <= 1 or engine == HERE:
             for task in tasks:
                 segment_tile(cut.white, config, task)
@@ -263,13 +261,11 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLik
 def _stitch(cut: _Cut, work: Path) -> tuple[int, Labels]:
     """Stitches the tiles; returns the number of superpoints and the labels [N], mapped from disk."""
     try:
-        files = [_labels_file(work, number) for number in range(cut.num_tiles)]
+        files = [_labels_file(work, number) for number in range(len(cut.tiles))]
         counts = [len(read_shared(file).whole_size) for file in files]
         path, dtype = work / "labels.npy", np.dtype(np.uint32 if sum(counts) <= 1 << 32 else np.uint64)
         labels = np.lib.format.open_memmap(path, "w+", dtype, (cut.num_points,))
-        count = stitch(
-            cut.neighbors, counts, lambda tile: read_own(files[tile]), lambda tile: read_shared(files[tile]), labels
-        )
+        count = stitch(cut.neighbors, counts, lambda i: read_own(files[i]), lambda i: read_shared(files[i]), labels)
     except ValueError as error:
         raise ValueError(f"{error}; remove {work} and start again") from error
     del labels

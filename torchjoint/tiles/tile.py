@@ -1,6 +1,7 @@
 """Segments one tile: an independent task, which reads one file and writes one."""
 
 import math
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,8 +36,8 @@ def tile_file(folder: Path, number: int) -> Path:
 
 def split_points(
     files: Sequence[Path], survey: Survey, plan: Plan, folder: Path, progress: Callable[[int], object]
-) -> None:
-    """Writes the points of all tiles; only one part of the cloud is in memory at a time.
+) -> list[int]:
+    """Writes the points of all tiles, and returns their checksums; only one part of the cloud is in memory at a time.
 
     Args:
         files: of the cloud.
@@ -45,7 +46,7 @@ def split_points(
         progress: is called with the number of points of each part.
     """
     corners = np.array([tile.first for tile in plan.tiles]) * survey.side + survey.origin[:2]
-    alone = _cells_of_one_tile(survey, plan)
+    alone, checksums = _cells_of_one_tile(survey, plan), [0] * len(plan.tiles)
     for first, points in read_points(files, survey.whites):
         row, tile, kind = _copies(points.xyz[:, :2], survey, plan, alone)
         starts = np.flatnonzero(np.diff(tile, prepend=-1))
@@ -53,9 +54,11 @@ def split_points(
             number = int(tile[start])
             corner = np.array([*corners[number], survey.origin[2]])
             records = _records(points, row[start:end], kind[start:end], first, corner, survey.whites is not None)
+            checksums[number] = zlib.crc32(records.data, checksums[number])
             with tile_file(folder, number).open("ab") as stream:
                 stream.write(records.tobytes())
         progress(len(points.xyz))
+    return checksums
 
 
 def _cells_of_one_tile(survey: Survey, plan: Plan) -> npt.NDArray[np.bool_]:
@@ -114,6 +117,7 @@ class TileTask(NamedTuple):
     labels: Path  #: the file to write
     size: tuple[float, float]  #: metres, of the tile without its buffer
     buffer: float  #: metres
+    checksum: int  #: of the file of the points
 
 
 class OwnLabels(NamedTuple):
@@ -146,6 +150,8 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
         task.points.unlink(missing_ok=True)
         return
     records = np.fromfile(task.points, point_type(white is not None))
+    if zlib.crc32(records.data) != task.checksum:
+        raise ValueError(f"{task.points}: damaged; remove {task.points.parents[1]} and start again")
     points = torch.from_numpy(records["xyz"].copy())
     colors = None if white is None else torch.from_numpy(records["rgb"].astype(np.float32) / white)
     number, kind = records["number"].copy(), records["kind"].copy()
@@ -157,10 +163,8 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
     whole_size = np.bincount(label).astype(np.int32)
     whole_size[label[at_rim]] = 0
     own, shared = (kind & OWN) > 0, (kind & SHARED) > 0
-    arrays: dict[str, npt.NDArray[Any]] = {
-        **_prefixed("own", OwnLabels(number[own], label[own])),
-        **_prefixed("shared", SharedLabels(number[shared], label[shared], own[shared], whole_size)),
-    }
+    arrays = _prefixed("own", OwnLabels(number[own], label[own]))
+    arrays |= _prefixed("shared", SharedLabels(number[shared], label[shared], own[shared], whole_size))
     with atomic_write(task.labels) as partial:
         np.savez(partial, **arrays)  # type: ignore[arg-type]
     task.points.unlink()

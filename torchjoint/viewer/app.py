@@ -3,6 +3,7 @@
 import threading
 import weakref
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -456,7 +457,8 @@ class Viewer:
             if model.shading is None and not self._has_stopped:
                 self._guarded(self._shade, model, Shading(model.result.scene.points, model.up))
             if not is_running and not self._has_stopped:  # labelling all frames is most of a run's work
-                model.measures.read_frames(lambda: self._has_stopped)
+                with suppress(ValueError, OSError):  # the page tells of an image that cannot be read where it is drawn
+                    model.measures.read_frames(lambda: self._has_stopped)
                 self._guarded(self._draw_lists)
 
         self._workers = [worker for worker in self._workers if worker.is_alive()]

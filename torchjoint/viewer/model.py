@@ -302,10 +302,8 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     images = LazySequence(len(result.images), lambda index: _labels(model, keys, index))
     if kind == "PNG":
         return f"{name}-masks.zip", _masks(images, result.names)
-    selection = replace(
-        result, points=labels, images=images, hierarchy=None, superpoint_images=(), segment_names=called
-    )
-    return _written(f"{name}.json", lambda file: export_coco(file, selection))
+    picked = replace(result, points=labels, images=images, hierarchy=None, superpoint_images=(), segment_names=called)
+    return _written(f"{name}.json", lambda file: export_coco(file, picked))
 
 
 def _written(name: str, write: Callable[[Path], object]) -> tuple[str, bytes]:

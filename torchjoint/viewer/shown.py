@@ -67,5 +67,5 @@ class Shown:
     def edits(self, result: Result, granularity: float | None = None) -> Edits:
         """The corrections of the result on disk, at another level if one is given."""
         count = Parts(result).count
-        edits = Edits(count) if self.folder is None else read_edits(self.folder, count)
+        edits = Edits(count) if self.folder is None else read_edits(self.folder, count, result.manifest)
         return edits if granularity is None else replace(edits, granularity=granularity)

@@ -57,9 +57,11 @@ def read_labelled_cloud(path: Path) -> Result:
     name = f"{path}: labels"  # floats would be cut to integers
     whole = as_labels(as_tensor(as_int64(labels, name), name), labels.shape[:1], name)
     is_valid = cloud.points.isfinite().all(1)
-    cloud, numbered = cloud.chosen(is_valid), whole[is_valid].unique(return_inverse=True)[1]
+    cloud, ids = cloud.chosen(is_valid), whole[is_valid]
     scene = Scene(cloud.points, colors=cloud.colors, name=path.stem)
-    return Result.of(Segmentation(numbered, ()), scene)
+    ids[ids < 0] = ids.max() + 1  # what has no label is the last thing
+    labels_of = ids if int(ids.max()) <= len(ids) else ids.unique(return_inverse=True)[1]
+    return Result.of(Segmentation(labels_of, ()), scene)
 
 
 def _labels(path: Path) -> npt.NDArray[Any] | None:
