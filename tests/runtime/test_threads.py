@@ -1,7 +1,8 @@
 """Limits of threads hold for the caller alone. Events and barriers decide who is where; nothing waits for a clock."""
 
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 
 import pytest
 import torch
@@ -38,6 +39,13 @@ def in_a_fresh_thread(function):
 def fresh_count():
     """What a thread sees at its first torch operation."""
     return in_a_fresh_thread(torch.get_num_threads)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_forked_process_has_one_thread():  # with more, it would wait for threads of the process before
+    with ProcessPoolExecutor(1, mp_context=get_context("fork")) as pool:
+        assert pool.submit(torch.get_num_threads).result() == 1
+    assert torch.get_num_threads() == COUNT
 
 
 def overlapping(leaves_first):

@@ -9,9 +9,12 @@ The limit of one thread applies only to the calling thread. ``torch.set_num_thre
 the setting that every *other* Python thread gets at its first torch operation. So the limit is set directly in OpenMP
 and MKL, which store it per thread. Callers may overlap in any way, and the setting of other threads never changes. If
 torch does not use OpenMP, ``torch.set_num_threads`` is used as long as any caller is inside.
+
+A forked process has OpenMP's pool, but not its threads, and would wait for them for ever: torch has one thread there.
 """
 
 import ctypes
+import os
 import pickle
 import sys
 from collections import deque
@@ -30,6 +33,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _workers: ContextVar[int | None] = ContextVar("torchjoint_workers", default=None)
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
 
 
 @contextmanager
