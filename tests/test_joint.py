@@ -489,6 +489,19 @@ class TestPoseCheck:
         what = "inverted, and turned in y and z: " if is_inverse else "turned in y and z: OpenGL axes where OpenCV"
         assert f"the poses look {what}" in messages[0]
 
+    @pytest.mark.parametrize("with_depth", [True, False])
+    @pytest.mark.parametrize("what", ["inverted", "turned in y and z"])
+    def test_two_frames_of_another_convention(self, synthetic, what, with_depth):
+        opengl = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
+        frames = [dataclasses.replace(f, depth=f.depth if with_depth else None) for f in synthetic.scene.frames]
+        for place, warns in ((1, False), (4, True)):  # of one alone nothing is said
+            pose = frames[place].world_to_camera
+            pose = opengl @ pose if "turned" in what else torch.linalg.inv(pose)
+            frames[place] = dataclasses.replace(frames[place], world_to_camera=pose)
+            messages = self.warnings_of(dataclasses.replace(synthetic.scene, frames=frames))
+            told = f"the poses of 2 of 6 checked frames look {what}"
+            assert any(told in message for message in messages) == warns
+
     def test_a_shifted_pose(self, synthetic):
         def shift(frame):
             pose = frame.world_to_camera.clone()

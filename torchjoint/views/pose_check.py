@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -245,6 +246,10 @@ CHANCE_SHARE, CHANCE_CORRELATION, LEAST_CONTRAST = 0.8, 0.6, 0.03
 EXCHANGED = 0.03
 
 
+#: If so many frames, each by itself, fit in another convention only, the recording has both.
+LEAST_MIXED = 2
+
+
 class PoseAgreement(NamedTuple):
     """Agreement of poses and cloud for one frame, or for several: their mean, for depth the AGREEING_SHARE quantile.
 
@@ -325,7 +330,7 @@ class PoseCheck:
             return None
         given = _combined([look.given for look in self._looks])
         others = {kind: _combined([look.others[kind] for look in self._looks]) for kind in CONVENTIONS}
-        found = _complaints(given, others, max(look.off_center for look in self._looks))
+        found = _mixed(self._looks) | _complaints(given, others, max(look.off_center for look in self._looks))
         with one_thread_per_operation():
             found |= _edge_complaints(combined([look.edges for look in self._looks if look.edges is not None]))
             found |= _mask_complaints(combined([look.borders for look in self._looks if look.borders is not None]))
@@ -411,6 +416,26 @@ def _fits_better(given: PoseAgreement, other: PoseAgreement, kind: str) -> bool:
     is_likely = kind == "inverted" or other.color_correlation > CHANCE_CORRELATION
     view_says = is_likely and given.in_view * 5 < other.in_view and not other.depth_residual > 0.1
     return depth_says or color_says or view_says
+
+
+def _mixed(looks: Sequence[_Look]) -> dict[str, str]:
+    """Whether some of the frames, each by itself, fit only if they are read in another convention: LEAST_MIXED or more.
+
+    The mean of all hides it: wrong frames may see no point, which has no residual.
+    """
+    fits = Counter(kind for look in looks for kind, other in look.others.items() if _fits_alone(look.given, other))
+    kind, count = max(fits.items(), key=lambda one: one[1], default=("", 0))
+    if count < LEAST_MIXED:
+        return {}
+    return {"convention": f"the poses of {count} of {len(looks)} checked frames look {CONVENTIONS[kind]}"}
+
+
+def _fits_alone(given: PoseAgreement, other: PoseAgreement) -> bool:
+    """Whether one frame fits at the other pose, and not at the given one; stricter than for the mean of several."""
+    if not math.isnan(other.depth_residual):
+        return other.depth_residual < LARGEST_DEPTH_RESIDUAL and not given.depth_residual < 2 * LARGEST_DEPTH_RESIDUAL
+    is_like = other.color_residual < CHANCE_SHARE * other.color_by_chance
+    return is_like and other.color_correlation > CHANCE_CORRELATION and not given.color_correlation > CHANCE_CORRELATION
 
 
 def _residuals(agreement: PoseAgreement) -> list[float]:
