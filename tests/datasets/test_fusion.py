@@ -35,6 +35,14 @@ def test_the_convention_is_named(scene_of, seed, said):
         warn_of_poses(with_poses(frames, READ[said]))
 
 
+@pytest.mark.parametrize(("said", "places"), [(said, {3, 4, 5}) for said in READ] + [("in one recording?", {1, 3, 5})])
+def test_some_poses_are_of_another_convention(scene_of, said, places):
+    frames = scene_of(0).scene.frames
+    other = with_poses(frames, READ.get(said, lambda pose: TURN @ pose))
+    with pytest.warns(tj.PoseWarning, match=re.escape(said)):
+        warn_of_poses([(other if place in places else frames)[place] for place in range(6)])
+
+
 @pytest.mark.parametrize("factor", [100, 1000])
 def test_positions_in_another_unit(scene_of, factor):
     """Each depth image would fit its own part of the cloud, and no other check finds it."""

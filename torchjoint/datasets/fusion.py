@@ -47,8 +47,11 @@ LEAST_TURN, LEAST_STEP = 5.0, 0.1
 #: generated rooms have .006, wrong ones .066 and more). Another convention fits if it has less than the given poses'
 #: difference times the second.
 AGREEING, BETTER = 0.04, 0.3
+#: If so many pairs, each by itself, fit in another convention only, the recording has both.
+LEAST_MIXED = 2
 #: What may be wrong, in words; the last two are depth of another unit, which is as if positions were.
 KINDS = [f"the poses look {text}" for text in CONVENTIONS.values()] + [
+    "some poses look turned in y and z: OpenGL axes and OpenCV axes in one recording?",
     "depth looks 5 times too small: millimetres where the format has 5000 per metre?",
     "depth looks 5 times too large: 5000 per metre where the format has millimetres?",
 ]
@@ -208,12 +211,18 @@ def _doubts(frames: Sequence[Frame]) -> dict[str, str]:
     residuals = [_residuals(one, other) for one, other in pairs]
     if not residuals:
         return {}
-    given, *others = torch.tensor(residuals, dtype=torch.float64).nan_to_num(math.inf).median(dim=0).values.tolist()
+    table = torch.tensor(residuals, dtype=torch.float64).nan_to_num(math.inf)
+    given, *others = table.median(dim=0).values.tolist()
     best, kind = min(zip(others, KINDS, strict=True))
     said = f"differ by {given:.1%}" if math.isfinite(given) else "have nothing in common"
     if given > AGREEING and best < min(AGREEING, BETTER * given):
         told = f"depth images of neighbouring frames {said} as given, by {best:.1%} read like this"
         return {PoseWarning.__name__: f"{kind} ({told})"}
+    fits = (table[:, :1] > AGREEING) & (table[:, 1:] < (BETTER * table[:, :1]).clamp(max=AGREEING))
+    count, place = (int(one) for one in fits.sum(0).max(dim=0))
+    if count >= LEAST_MIXED:
+        told = f"depth images of {count} of {len(pairs)} pairs of neighbouring frames fit only if read like this"
+        return {PoseWarning.__name__: f"{KINDS[place]} ({told})"}
     if math.isinf(given) and all(_are_apart(one, other) for one, other in pairs):
         told = "the cameras of neighbouring frames are farther apart than their depth images reach"
         return {PoseWarning.__name__: f"{told}: are positions in metres, as depth is, not in millimetres?"}
@@ -255,8 +264,10 @@ def _residuals(one: Frame, other: Frame) -> list[float]:
     motion = other.world_to_camera @ torch.linalg.inv(one.world_to_camera)
     inverse = torch.linalg.inv(other.world_to_camera) @ one.world_to_camera  # between the inverted poses
     fifth, fivefold = (torch.cat([motion[:, :3], motion[:, 3:] * step], dim=1) for step in (0.2, 5.0))
-    tried = (motion, inverse, FLIP_YZ @ motion @ FLIP_YZ, FLIP_YZ @ inverse @ FLIP_YZ, fifth, fivefold)
-    return [_residual(one, other, each) for each in tried]
+    both = (motion, inverse, FLIP_YZ @ motion @ FLIP_YZ, FLIP_YZ @ inverse @ FLIP_YZ)
+    tried = (*both, motion @ FLIP_YZ, FLIP_YZ @ motion, fifth, fivefold)
+    *found, first, second, smaller, larger = (_residual(one, other, each) for each in tried)
+    return [*found, float(np.fmin(first, second)), smaller, larger]
 
 
 def _residual(one: Frame, other: Frame, motion: Tensor) -> float:
