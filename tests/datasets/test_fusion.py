@@ -43,6 +43,16 @@ def test_some_poses_are_of_another_convention(scene_of, said, places):
         warn_of_poses([(other if place in places else frames)[place] for place in range(6)])
 
 
+@pytest.mark.parametrize("seed", [0, 1, 5])
+@pytest.mark.parametrize("wrong", ["reversed", "mirrored"])
+def test_colours_of_other_places(scene_of, seed, wrong):
+    """Depth fits, so that no check of the fused cloud finds it: its colours are means of these images."""
+    frames = scene_of(seed).scene.frames
+    images = [one.image for one in frames[::-1]] if wrong == "reversed" else [one.image.flip(2) for one in frames]
+    with pytest.warns(PoseDoubt, match="colours of the same places do not .*: are the colour images those of other"):
+        warn_of_poses([replace(frame, image=image) for frame, image in zip(frames, images, strict=True)])
+
+
 @pytest.mark.parametrize("factor", [100, 1000])
 def test_positions_in_another_unit(scene_of, factor):
     """Each depth image would fit its own part of the cloud, and no other check finds it."""
