@@ -462,6 +462,18 @@ class TestPoseCheck:
         (message,) = self.warnings_of(bgr)
         assert message.endswith("is one of them BGR?")
 
+    @pytest.mark.parametrize(("scale", "fits"), [(1.1, 0.91), (1 / 1.1, "1.10")])
+    def test_a_focal_length_that_is_somewhat_wrong(self, synthetic, scale, fits):
+        scales = torch.tensor([[scale, 1, 1], [1, scale, 1], [1, 1, 1]], dtype=torch.float64)
+        wrong = self.changed(synthetic, lambda frame: dataclasses.replace(frame, intrinsics=frame.intrinsics * scales))
+        (message,) = self.warnings_of(wrong)
+        assert f"the depth images fit focal lengths {fits} times as large better (they differ by 0." in message
+
+    def test_a_cloud_that_was_moved_by_10_cm(self, synthetic):
+        points = synthetic.scene.points + torch.tensor([0, 0.1, 0])
+        (message,) = self.warnings_of(dataclasses.replace(synthetic.scene, points=points))
+        assert "the depth images fit a cloud moved by -0.1 m along y better" in message
+
     @pytest.mark.parametrize("with_depth", [True, False])
     def test_inverted_poses(self, synthetic, with_depth):
         def invert(frame):
