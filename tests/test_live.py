@@ -212,6 +212,23 @@ def test_poses_of_few_keyframes_are_compared_with_a_result(frames):
         played(frames, keep_depth=True).set_poses(inverted)
 
 
+def test_equal_poses_of_a_camera_that_moves_are_told_once(frames):
+    still = [replace(frames[0], name=f"{index}") for index in range(20)]
+    played(still)
+    told = [replace(frame, world_to_camera=frames[0].world_to_camera) for frame in (frames[0], *(8 * frames[1:]))]
+    told = [frames[0], *told]
+    with pytest.warns(tj.PoseWarning, match=r"all poses are equal, but depth images differ by \d+") as found:
+        played(told)
+    assert len(found) == 1
+    with pytest.warns(tj.PoseWarning, match=r"all poses are equal, but .*: are the poses missing\?"):
+        fuse_cloud(told[:5], VOXEL)
+
+
+def test_what_hides_a_camera_at_rest_for_a_moment_is_not_told(frames):
+    near = replace(frames[0], depth=frames[0].depth / 2)
+    played([near if index in (4, 8) else frames[0] for index in range(20)])
+
+
 def test_dark_frames_are_fused_again_as_they_were_taken(frames):
     dark = [replace(frame, image=frame.image / 8) for frame in frames]
     segmenter = played(dark, step=0, keep_depth=True)

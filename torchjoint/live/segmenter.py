@@ -231,6 +231,8 @@ class LiveSegmenter(nn.Module):
         self._in_memory = 0  # bytes of the keyframes
         self._file: OffloadFile | None = None  # what does not fit
         self._to_compare: list[Frame] | None = []  # None: they were compared
+        self._at_rest: list[Frame] | None = []  # the 1st, 2nd, 4th, 8th, ...; None: the camera moves, or it was told
+        self._num_at_rest = 0
         self._ids = LastingIds()
         self._lock = threading.Lock()  # of the volume and the keyframes
 
@@ -268,6 +270,8 @@ class LiveSegmenter(nn.Module):
                 bright = brightened_frame(frame)
                 (segments,) = self.image_segmenter([bright], self.stopwatch)
                 self._keep(Keyframe.packed(frame, bright, segments, MAX_DEPTH if self.keep_depth else None))
+            else:
+                self._compare_at_rest(frame)
 
     @torch.no_grad()
     @one_thread_per_operation()
@@ -426,6 +430,18 @@ class LiveSegmenter(nn.Module):
         if len(self._to_compare) == COMPARED:
             _check(self._to_compare)
             self._to_compare = None
+
+    def _compare_at_rest(self, frame: Frame) -> None:
+        """Compares frames that are no keyframes while their poses are equal: a tracker may have lost its poses."""
+        if frame.depth is None or self._at_rest is None:
+            return
+        self._num_at_rest += 1
+        if self._at_rest and not torch.equal(frame.world_to_camera, self._at_rest[0].world_to_camera):
+            self._at_rest = None
+        elif self._num_at_rest & (self._num_at_rest - 1) == 0:
+            self._at_rest.append(frame)
+            if warn_of_poses(self._at_rest):
+                self._at_rest = None
 
 
 def _check(frames: Sequence[Frame]) -> None:
