@@ -19,7 +19,7 @@ from torchjoint.config import SuperpointsConfig
 from torchjoint.metrics import segmentation_covering
 from torchjoint.tiles import run as tiles
 from torchjoint.tiles import superpoints_of_files
-from torchjoint.tiles.plan import NARROWEST, Survey, plan_tiles
+from torchjoint.tiles.plan import NARROWEST, Survey, plan_tiles, survey
 from torchjoint.tiles.stitching import matching_superpoints, stitch
 from torchjoint.tiles.tile import (
     OWN,
@@ -161,6 +161,46 @@ def test_files_of_several_coordinate_systems_are_told(cloud, tmp_path):
         one.write(tmp_path / "parts" / name)
     with pytest.warns(UserWarning, match="parts: coordinates of EPSG:25832, EPSG:25833 are taken as those of one"):
         superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1")
+
+
+def tiles_of(folder, moved):
+    """The town as four files, `moved` to other places."""
+    folder.mkdir()
+    points = town(4_000, 10)
+    for place, part in enumerate(points[points[:, 0].argsort()].reshape(4, -1, 3)):
+        write_las(folder / f"{place}.las", moved(place, part))
+    return [folder / f"{place}.las" for place in range(4)]
+
+
+@pytest.mark.parametrize(
+    ("moved", "message"),
+    [
+        (
+            lambda place, part: part * (1000 if place == 2 else 1),
+            r"2\.las: box and spacing of its points are about 1000 times",
+        ),
+        (
+            lambda place, part: part * (1 if place == 1 else 1000),
+            r"1\.las: .* are about 0\.001 times those of other files; has",
+        ),
+        (lambda place, part: part + 1e5 * (place > 1), r"1\.las and .*2\.las are 100 km apart; have they another unit"),
+    ],
+)
+def test_a_file_of_another_unit_or_origin_is_told(tmp_path, moved, message):
+    with pytest.warns(UserWarning, match=message):
+        survey(tiles_of(tmp_path / "parts", moved))
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [
+        lambda place, part: part[part[:, 0] < part[:, 0].min() + 0.01] if place == 0 else part * 200,  # a scrap
+        lambda place, part: part[:3] * 1000 if place == 0 else part,  # few points
+        lambda place, part: part + 100 * place,
+    ],
+)
+def test_files_of_other_sizes_are_not_told(tmp_path, moved):
+    survey(tiles_of(tmp_path / "parts", moved))
 
 
 def test_files_in_folders_in_it_are_told(cloud, tmp_path):

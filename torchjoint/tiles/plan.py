@@ -22,6 +22,9 @@ from torchjoint.scene.cloud import full_brightness
 
 #: Mean number of points in a cell, and most cells: small enough to cut tiles along cells, and few enough for memory.
 POINTS, MOST_CELLS = 100, 4_000_000
+#: Of files whose boxes and spacings differ by more than this, one has another unit. Files between which a hole is so
+#: many times as wide as the largest file are no one cloud.
+OTHER_UNIT, HOLE = 300, 1000
 
 
 class Survey(NamedTuple):
@@ -87,7 +90,7 @@ def survey(files: Sequence[Path], align: float | None = None) -> Survey:
 
 def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """The number of points, and the lowest and highest corner [3] of their box, according to the headers."""
-    lows, highs, num_points = [], [], 0
+    lows, highs, counts = [], [], []
     if len(systems := {epsg_of(path) for path in files} - {None}) > 1:
         codes = ", ".join(f"EPSG:{code}" for code in sorted(filter(None, systems)))
         warnings.warn(f"{files[0].parent}: coordinates of {codes} are taken as those of one system", stacklevel=4)
@@ -96,14 +99,40 @@ def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.ND
             tell_unit(reader, path)
             lows.append(reader.header.mins)
             highs.append(reader.header.maxs)
-            num_points += reader.header.point_count
-    known = [(*low, *high) for low, high in zip(lows, highs, strict=True) if (low < high).all()]
-    if len(set(known)) < len(known):
+            counts.append(reader.header.point_count)
+    known = {
+        path: (*low, *high, count)
+        for path, low, high, count in zip(files, lows, highs, counts, strict=True)
+        if (low < high).all() and np.abs([low, high]).max() <= LARGEST_COORDINATE
+    }
+    if len({box[:6] for box in known.values()}) < len(known):
         warnings.warn(f"{files[0].parent}: two files have the same box; are their points there twice?", stacklevel=4)
+    if len(known) > 1:
+        _tell_misfit(list(known), np.array(list(known.values())))
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     if not ((np.abs([low, high]) <= LARGEST_COORDINATE).all() and (low <= high).all()):
         low, high = np.zeros(3), np.zeros(3)  # all points are counted in one cell, then again in a proper grid
-    return num_points, low, high
+    return sum(counts), low, high
+
+
+def _tell_misfit(files: Sequence[Path], boxes: npt.NDArray[np.float64]) -> None:
+    """Warns if a file seems to have another unit or origin than the others; boxes [F, 7]: corners, number of points."""
+    low, high, side = boxes[:, :2], boxes[:, 3:5], (boxes[:, 3:5] - boxes[:, :2]).max(1)
+    # A scrap of a tile is small, and a sparse file has few points. In another unit, a file differs in both alike.
+    sizes = np.log10(np.stack([side, side / np.sqrt(boxes[:, 6])]))
+    ratio = sizes - np.quantile(sizes, 0.5, axis=1, method="lower", keepdims=True)
+    misfit = int(np.where(ratio.prod(0) > 0, np.abs(ratio).min(0), 0).argmax())
+    if abs(ratio[:, misfit]).min() > math.log10(OTHER_UNIT):
+        told = f"box and spacing of its points are about {10 ** ratio[0, misfit].round():g} times those of other files"
+        warnings.warn(f"{files[misfit]}: {told}; has it another unit?", stacklevel=5)
+    for axis in (0, 1):
+        order = low[:, axis].argsort(kind="stable")
+        holes = low[order[1:], axis] - np.maximum.accumulate(high[order, axis])[:-1]
+        if holes.max() > HOLE * side.max():
+            one, other = (files[index] for index in sorted(order[holes.argmax() :][:2]))
+            told = f"{one} and {other} are {holes.max() / 1000:.0f} km apart"
+            warnings.warn(f"{told}; have they another unit or origin?", stacklevel=5)
+            break
 
 
 def _grid(num_points: int, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64], align: float | None) -> Survey:
