@@ -488,15 +488,20 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     write([rows[0] | {"name": "", "points": "3"}, rows[2] | {"name": "garage"}])  # an old table of one more name
     run("edits", "import", out, table)
     assert tj.load_result(out).segment_names == {0: "house, old", 2: "garage"}
+    write([rows[2] | {"name": "shed", "id": "2.0", "points": rows[2]["points"] + ".0"}])  # of pandas
+    run("edits", "import", out, table)
+    assert tj.load_result(out).segment_names[2] == "shed"
     for wrong, told in (
         ({"points": "3"}, "the table says 3"),
-        ({"id": "9999"}, "has 0 points"),
-        ({"id": "x"}, "has 0"),
-        ({"id": "9" * 5000}, "has 0"),
+        ({"points": "3.0"}, "the table says 3.0"),
+        ({"id": "9999", "points": "0"}, "expected the id of a segment, got '9999'"),
+        ({"id": "-1", "points": "0"}, "expected the id of a segment, got '-1'"),
+        ({"id": "x"}, "expected the id"),
+        ({"id": "9" * 5000}, "expected the id"),
         ({"name": "shed" * 40_000}, "field larger than field limit"),
     ):
-        write([rows[0] | {"name": "shed"} | wrong])
-        with pytest.raises(SystemExit, match=rf"names\.csv: (line 2: 'shed': segment )?.*{told}"):
+        write([rows[0] | {"name": "hut"} | wrong])
+        with pytest.raises(SystemExit, match=rf"names\.csv: (line 2: 'hut': )?.*{told}"):
             run("edits", "import", out, table)
     table.write_bytes("id,name,points\n0,Gebäude,1\n".encode("cp1252"))
     with pytest.raises(SystemExit, match=r"names\.csv: expected a table of segments, saved as CSV in UTF-8, as text"):

@@ -362,3 +362,8 @@ def test_names_at_other_levels():
     assert named.at(1.0).segment_names == {0: "cup", 1: "cup", 2: "box"}
     assert named.at(0.5).segment_names == {0: "cup", 1: "box"}
     assert named.at(0.0).segment_names == {}
+    assert named.at(1.0).at(0.5).segment_names == {0: "cup", 1: "box"}
+    handle = dataclasses.replace(named.at(1.0), segment_names={1: "handle"})
+    assert handle.at(0.5).segment_names == {}
+    body = dataclasses.replace(named.at(1.0), segment_names={0: "body"})
+    assert body.at(0.5).segment_names == {0: "body"}

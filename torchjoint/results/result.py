@@ -65,17 +65,19 @@ class Result(Segmentation):
         return cls(**values, scene=scene, config=config)
 
     def at(self, granularity: float = 0.5) -> Self:
-        """As :meth:`torchjoint.Segmentation.at`; a name belongs to the segments within the one that has it, too."""
+        """As :meth:`torchjoint.Segmentation.at`; a segment has the name, if it is one, that most of its points had."""
         found = super().at(granularity)
         if not self.segment_names:
             return found
-        count = self.num_point_segments
-        pairs = torch.unique(found.points * count + self.points)
-        inside, times = torch.unique(pairs // count, return_counts=True)
-        whole = pairs[torch.isin(pairs // count, inside[times == 1])]
-        within = dict(zip((whole // count).tolist(), (whole % count).tolist(), strict=True))
-        names = {one: self.segment_names[of] for one, of in within.items() if of in self.segment_names}
-        return replace(found, segment_names=names)
+        count, is_known = self.num_point_segments, (found.points >= 0) & (self.points >= 0)
+        pairs, shared = torch.unique((found.points * count + self.points)[is_known], return_counts=True)
+        new, old = pairs // count, pairs % count
+        has_name = torch.isin(old, torch.tensor(list(self.segment_names)))
+        most = 2 * torch.bincount(new, shared * has_name) > torch.bincount(new, shared)
+        names: dict[int, set[str]] = {}
+        for one, of in zip(new[has_name & most[new]].tolist(), old[has_name & most[new]].tolist(), strict=True):
+            names.setdefault(one, set()).add(self.segment_names[of])
+        return replace(found, segment_names={one: name for one, (name, *others) in names.items() if not others})
 
     @cached_property
     def embeddings(self) -> Embeddings | None:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
@@ -170,20 +171,30 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
     table = csv.DictReader(io.StringIO(text), delimiter=";" if header.count(";") > header.count(",") else ",")
     if not {"id", "name", "points"} <= set(table.fieldnames or ()):
         raise ValueError(f"{file}: expected the columns id, name and points of `export --format csv`, got {header!r}")
-    sizes = dict(enumerate(np.bincount(result.points[result.points >= 0].numpy()).tolist()))
+    found = np.unique(result.points[result.points >= 0].numpy(), return_counts=True)
+    sizes = dict(zip(*(each.tolist() for each in found), strict=True))
     names = []
     with damage_is(str(file), csv.Error):
         for row in table:
-            number, points, name = ((row[column] or "").strip() for column in ("id", "points", "name"))
-            segment = int(number) if number.isdecimal() and len(number) < 10 else -1
-            name = printable(name).removeprefix("'")  # csv_text's, before what would be computed
+            segment, points = (_count(row[column] or "") for column in ("id", "points"))
+            name = printable((row["name"] or "").strip()).removeprefix("'")  # csv_text's, before what would be computed
             if name in ("", result.segment_names.get(segment, "")):
                 continue
-            if (known := str(sizes.get(segment, 0))) != points:
-                told = f"segment {number} has {known} points, the table says {points}: corrections are newer than it"
-                raise ValueError(f"line {table.line_num}: {name!r}: {told}; export it again, or leave the name out")
+            if segment not in sizes:
+                told = f"expected the id of a segment, got {(row['id'] or '')[:20]!r}: is the table of another result?"
+                raise ValueError(f"line {table.line_num}: {name!r}: {told}")
+            if (known := sizes[segment]) != points:
+                told = f"segment {segment} has {known} points, the table says {(row['points'] or '')[:20]}"
+                told += ": corrections are newer than it, or it is of another result; export it again"
+                raise ValueError(f"line {table.line_num}: {name!r}: {told}, or leave the name out")
             names.append((segment, name))
     return dict_of(names, f"{file}: id")
+
+
+def _count(text: str) -> int:
+    """A whole number from 0, which a program may have written as 3.0; -1: anything else."""
+    match = re.fullmatch(r"\s*(\d{1,9})([.,]0*)?\s*", text)
+    return int(match[1]) if match else -1
 
 
 def edits_of_names(result: Result, names: Mapping[int, str], superpoint: npt.NDArray[np.int64]) -> tuple[Edit, ...]:
