@@ -64,13 +64,6 @@ void triangle_filter(const float* in, float* out, int64_t height, int64_t width,
   std::array<float, radius + 1> weight;  // by distance
   constexpr double kSum = (radius + 1) * (radius + 1);
   for (int i = 0; i <= radius; ++i) weight[i] = static_cast<float>((radius + 1 - i) / kSum);
-  const auto filter = [&](const float* middle, int64_t step, float* to) {
-    for (int64_t x = 0; x < width; ++x) {
-      float sum = weight[0] * middle[x];
-      for (int i = 1; i <= radius; ++i) sum += weight[i] * (middle[x - i * step] + middle[x + i * step]);
-      to[x] = sum;
-    }
-  };
   std::vector<float> row(width + 2 * radius), across((last - first + 2 * radius) * width);
   for (int64_t y = first - radius; y < last + radius; ++y) {
     const float* const from = in + mirrored(y, height, true) * width;
@@ -79,10 +72,22 @@ void triangle_filter(const float* in, float* out, int64_t height, int64_t width,
       row[radius - i] = from[mirrored(-i, width, true)];
       row[radius + width - 1 + i] = from[mirrored(width - 1 + i, width, true)];
     }
-    filter(row.data() + radius, 1, across.data() + (y - first + radius) * width);
+    const float* const middle = row.data() + radius;
+    float* const to = across.data() + (y - first + radius) * width;
+    for (int64_t x = 0; x < width; ++x) {
+      float sum = weight[0] * middle[x];
+      for (int i = 1; i <= radius; ++i) sum += weight[i] * (middle[x - i] + middle[x + i]);
+      to[x] = sum;
+    }
   }
   for (int64_t y = first; y < last; ++y) {
-    filter(across.data() + (y - first + radius) * width, width, out + y * width);
+    const float* const middle = across.data() + (y - first + radius) * width;
+    float* const to = out + y * width;
+    for (int64_t x = 0; x < width; ++x) {
+      float sum = weight[0] * middle[x];
+      for (int i = 1; i <= radius; ++i) sum += weight[i] * (middle[x - i * width] + middle[x + i * width]);
+      to[x] = sum;
+    }
   }
 }
 

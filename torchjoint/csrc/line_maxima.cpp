@@ -22,14 +22,15 @@ std::tuple<Tensor, Tensor> line_maxima(const Tensor& order, const Tensor& other_
   const VisibleEdges visible(order, other_end, start, point, row, column, height, width);
   const uint8_t* const pixels = values.const_data_ptr<uint8_t>();
   const int64_t *const r = visible.rows, *const c = visible.columns;
-  return visible.values<uint8_t>(ScalarType::Byte, [&](int32_t one, int32_t other) {
+  return visible.values<uint8_t>(ScalarType::Byte, [&](int32_t one, int32_t other, uint8_t& maximum) {
     uint8_t largest = 0;
     for (int64_t there = 0; there <= kQuarters; ++there) {
       const int64_t here = kQuarters - there;
       const int64_t y = rounded(here * r[one] + there * r[other]), x = rounded(here * c[one] + there * c[other]);
       largest = std::max(largest, pixels[y * width + x]);
     }
-    return largest;
+    maximum = largest;
+    return true;
   });
 }
 

@@ -4,7 +4,6 @@
 #include "common.h"
 
 #include <cstdint>
-#include <optional>
 #include <tuple>
 #include <vector>
 
@@ -39,10 +38,10 @@ class VisibleEdges {
     }
   }
 
-  // The edges, and `value_of(slot, slot of the other end)` of each, in the order of the points, then of their edges. An
-  // edge without a value is left out.
-  template <typename Value, typename ValueOf>
-  std::tuple<Tensor, Tensor> values(ScalarType dtype, const ValueOf& value_of) const {
+  // The edges, and their values, in the order of the points, then of their edges. `measure(slot, slot of the other end,
+  // value)` writes the value of an edge; if it returns false, the edge is left out.
+  template <typename Value, typename Measure>
+  std::tuple<Tensor, Tensor> values(ScalarType dtype, const Measure& measure) const {
     Tensor edge = torch::stable::new_empty(order_, {at_most_}, ScalarType::Long);
     Tensor value = torch::stable::new_empty(order_, {at_most_}, dtype);
     int64_t* const edges = edge.mutable_data_ptr<int64_t>();
@@ -51,17 +50,15 @@ class VisibleEdges {
     const int32_t* const other_at = other_end_.const_data_ptr<int32_t>();
     const int32_t* const first_of = start_.const_data_ptr<int32_t>();
     const int64_t* const node = point_.const_data_ptr<int64_t>();
+    const int32_t* const slot = slot_.data();
+    const int64_t num_nodes = num_nodes_;
     int64_t count = 0;
     for (int32_t i = 0; i < num_points; ++i) {
       const int32_t end = first_of[node[i] + 1];
       for (int32_t place = first_of[node[i]]; place < end; ++place) {
-        check_index(other_at[place], num_nodes_, "other_end", place);
-        const int32_t there = slot_[other_at[place]];
-        if (there < 0) continue;
-        const std::optional<Value> found = value_of(i, there);
-        if (!found) continue;
-        edges[count] = edge_at[place];
-        values[count++] = *found;
+        check_index(other_at[place], num_nodes, "other_end", place);
+        const int32_t there = slot[other_at[place]];
+        if (there >= 0 && measure(i, there, values[count])) edges[count++] = edge_at[place];
       }
     }
     return {torch::stable::narrow(edge, 0, 0, count), torch::stable::narrow(value, 0, 0, count)};

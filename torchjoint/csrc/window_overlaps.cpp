@@ -99,10 +99,10 @@ std::tuple<Tensor, Tensor> window_overlaps(const Tensor& order, const Tensor& ot
   Windows windows(image.const_data_ptr<int32_t>(), height, width, window, visible.num_points);
   for (int64_t i = 0; i < visible.num_points; ++i) windows.add(visible.rows[i], visible.columns[i]);
 
-  return visible.values<double>(ScalarType::Double, [&](int32_t one, int32_t other) -> std::optional<double> {
+  return visible.values<double>(ScalarType::Double, [&](int32_t one, int32_t other, double& overlap) {
     const int32_t smaller = std::min(windows.size(one), windows.size(other));
-    if (smaller == 0) return std::nullopt;
-    return static_cast<double>(windows.intersection(one, other)) / smaller;
+    if (smaller > 0) overlap = static_cast<double>(windows.intersection(one, other)) / smaller;
+    return smaller > 0;
   });
 }
 
