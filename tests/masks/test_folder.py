@@ -253,6 +253,12 @@ def test_what_cannot_be_matched_is_an_error(tmp_path):
         tj.masks.read_folder(tmp_path, scene_of("a"), without="drop")
 
 
+def test_an_image_of_0_and_255_is_told_to_be_one_mask(tmp_path):
+    write_labels(tmp_path / "a.png", value=255)
+    with pytest.warns(UserWarning, match=r"only 0 and 255 is taken as one mask; of several things, .* in NAME/"):
+        assert len(tj.masks.read_masks(tmp_path / "a.png")) == 1
+
+
 def test_masks_are_read_with_their_frame(tmp_path):
     for name in "ab":
         write_labels(tmp_path / f"{name}.png")

@@ -163,6 +163,19 @@ def test_files_of_several_coordinate_systems_are_told(cloud, tmp_path):
         superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1")
 
 
+@pytest.mark.filterwarnings("ignore:.*(feet|one system)")
+def test_metres_and_feet_in_one_folder_are_an_error(cloud, tmp_path):
+    (tmp_path / "parts").mkdir()
+    for name, unit in (("a.las", ""), ("b.las", 'UNIT["US survey foot",0.3],')):
+        one = laspy.read(cloud)
+        one.header.vlrs.extract("WktCoordinateSystemVlr")
+        text = f'PROJCS["A",GEOGCS["B"],{unit}AUTHORITY["EPSG","{2263 if unit else 25832}"]]'
+        one.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(text))
+        one.write(tmp_path / "parts" / name)
+    with pytest.raises(ValueError, match=r"b\.las: expected .* got feet; .*a\.las has none"):
+        superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1")
+
+
 def tiles_of(folder, moved):
     """The town as four files, `moved` to other places."""
     folder.mkdir()

@@ -52,7 +52,7 @@ def read_masks(path: Path | str) -> Masks:
     path = Path(path)
     if not is_there(path):
         raise FileNotFoundError(f"{path}: missing; expected masks")
-    readers = {".png": lambda path: from_labels(read_label_image(path), none=0), ".npz": _read_npz, ".json": _read_json}
+    readers = {".png": _read_labels, ".npz": _read_npz, ".json": _read_json}
     reader = _read_pngs if has_folder(path) else readers.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected masks in a folder or in a file of kind {', '.join(SUFFIXES)}")
@@ -79,6 +79,14 @@ def save_masks(path: Path | str, masks: Masks) -> None:
     arrays = {"atom": masks.atom.numpy(), "pairs": masks.pairs.numpy(), "mask_scores": masks.scores.numpy()}
     arrays |= {key: np.array(of) for key, of in (("ids", masks.ids), ("names", masks.names)) if of}
     write_archive(path, arrays)
+
+
+def _read_labels(path: Path) -> Masks:
+    masks = from_labels(read_label_image(path), none=0)
+    if masks.ids == (255,):
+        told = "an image of only 0 and 255 is taken as one mask; of several things, each needs a number, or an image"
+        warnings.warn(f"{path.parent}: {told} in NAME/", stacklevel=2)
+    return masks
 
 
 def _read_json(path: Path) -> Masks:

@@ -24,7 +24,7 @@ from torchjoint.scene.cloud import full_brightness
 POINTS, MOST_CELLS = 100, 4_000_000
 #: Of files whose boxes and spacings differ by more than this, one has another unit. Files between which a hole is so
 #: many times as wide as the largest file are no one cloud.
-OTHER_UNIT, HOLE = 300, 1000
+OTHER_UNIT, HOLE = 300, 300
 
 
 class Survey(NamedTuple):
@@ -90,16 +90,19 @@ def survey(files: Sequence[Path], align: float | None = None) -> Survey:
 
 def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """The number of points, and the lowest and highest corner [3] of their box, according to the headers."""
-    lows, highs, counts = [], [], []
+    lows, highs, counts, with_feet = [], [], [], []
     if len(systems := {epsg_of(path) for path in files} - {None}) > 1:
         codes = ", ".join(f"EPSG:{code}" for code in sorted(filter(None, systems)))
         warnings.warn(f"{files[0].parent}: coordinates of {codes} are taken as those of one system", stacklevel=4)
     for path in files:
         with open_las(path) as reader:
-            tell_unit(reader, path)
+            with_feet.append(tell_unit(reader, path))
             lows.append(reader.header.mins)
             highs.append(reader.header.maxs)
             counts.append(reader.header.point_count)
+    if len(systems) > 1 and any(with_feet) and not all(with_feet):
+        one, other = (files[with_feet.index(has_feet)] for has_feet in (True, False))
+        raise ValueError(f"{one}: expected the unit of the other files, got feet; {other} has none")
     known = {
         path: (*low, *high, count)
         for path, low, high, count in zip(files, lows, highs, counts, strict=True)

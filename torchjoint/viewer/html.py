@@ -51,7 +51,7 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
         lines.append(f'<tr data-key="{row.key}"{lit}>{"".join(f"<td>{told[name]}</td>" for name in columns)}</tr>')
     note = f"{len(rows)} of {count} segments; search finds the others" if len(rows) < count else f"{count} segments"
     return (
-        f'<div class="tj">{note}; sizes in metres</div>'
+        f'<div class="tj">{note}; sizes in units of the cloud</div>'
         '<div class="tj-list">'
         f'<table id="tj-table"><thead><tr>{heads}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
     )

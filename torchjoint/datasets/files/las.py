@@ -76,16 +76,18 @@ def epsg_of(path: Path) -> int | None:
     return code if code not in (None, USER_DEFINED) else None
 
 
-def tell_unit(reader: Any, path: Path) -> None:
-    """Warns if the coordinate system of an open file has feet; degrees are an error."""
+def tell_unit(reader: Any, path: Path) -> bool:
+    """Warns if the coordinate system of an open file has feet, and returns whether; degrees are an error."""
     text, keys = _system(reader)
     if re.match(r'\s*(COMP\w+\["[^"]*",\s*)?GEO\w+\[', text) or keys.get(MODEL) == 2:
         raise ValueError(
             f"{path}: expected a coordinate system in metres, got one in degrees; project it before, such as with "
             "`pdal translate IN.laz OUT.laz reprojection --filters.reprojection.out_srs=EPSG:25832`"
         )
-    elif re.search(r'UNIT\["[^"]*(foot|feet)', text, re.I) or keys.get(LINEAR) in FEET:
+    has_feet = bool(re.search(r'UNIT\["[^"]*(foot|feet)', text, re.I)) or keys.get(LINEAR) in FEET
+    if has_feet:
         warnings.warn(f"{path}: its coordinate system has feet; they are taken as metres", stacklevel=4)
+    return has_feet
 
 
 def _system(reader: Any) -> tuple[str, dict[int, int]]:
