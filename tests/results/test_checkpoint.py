@@ -1,6 +1,7 @@
 """The state of a run on disk: any damage is noticed, and short runs are saved, too."""
 
 import errno
+import shutil
 
 import pytest
 import torch
@@ -46,6 +47,15 @@ def test_every_flipped_bit_is_noticed(tmp_path, segmenter):
                 assert checkpoint.load() is None
         file.write_bytes(whole)
     assert checkpoint.load() is not None
+
+
+@pytest.mark.parametrize("name", ["sums.pt", "observation-000001.pt"])
+def test_a_whole_file_of_another_run_is_noticed(tmp_path, segmenter, name):
+    checkpoint = saved(tmp_path / "state", segmenter)
+    Checkpoint(tmp_path / "other", "other key").save(segmenter.state, now=True)
+    shutil.copy(tmp_path / "other" / name, tmp_path / "state" / name)
+    with pytest.warns(UserWarning, match=f"starting again .*{name} is of another run"):
+        assert checkpoint.load() is None
 
 
 @pytest.mark.parametrize("change", [{"name": 5}, {"row": "uint8"}])

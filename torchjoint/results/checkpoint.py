@@ -6,6 +6,7 @@ import time
 import warnings
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -24,14 +25,14 @@ INTERVAL = 20.0
 SHARE_OF_TIME = 0.05
 
 #: Version of the files.
-FORMAT = 5
+FORMAT = 6
 
 
 class Checkpoint:
     """Saves a :class:`Evidence` from time to time: one file per observation, then the sums over these observations.
 
     Every file has a checksum and is first written under another name. So after a kill, or on a full disk, the state is
-    that of the last save.
+    that of the last save. Every file has the key, too, so files of another run are none of this state.
 
     Args:
         directory: is created if it does not exist, and emptied if it belongs to another run.
@@ -45,7 +46,7 @@ class Checkpoint:
             shutil.rmtree(directory, ignore_errors=True)
             directory.mkdir(parents=True)
             write_text(key_file, known)
-        self._saved = 0
+        self._key, self._saved = key, 0
         self._next_save = 0.0
 
     def load(self, observations: Observations | None = None) -> Evidence | None:
@@ -57,11 +58,11 @@ class Checkpoint:
         try:
             if not has_file(self.directory / "sums.pt"):
                 return None
-            values = read_values(self.directory / "sums.pt")
+            values = self._read(self.directory / "sums.pt")
             count = values.pop("count")
             observations = Observations() if observations is None else observations
             for i in range(count):
-                observations.extend([PackedObservation.from_dict(read_values(self._file(i)))])
+                observations.extend([PackedObservation.from_dict(self._read(self._file(i)))])
             state = Evidence(**values, observations=observations)
             state.check_types()
         except Exception as error:  # a damaged file can raise anything
@@ -76,12 +77,18 @@ class Checkpoint:
         if not now and start < self._next_save:
             return
         for i in range(self._saved, len(state.observations)):
-            write_values(self._file(i), state.observations.packed(i).to_dict())
+            write_values(self._file(i), state.observations.packed(i).to_dict() | {"run": self._key})
             self._saved = i + 1
         sums = {name: value for name, value in vars(state).items() if name != "observations"}
-        write_values(self.directory / "sums.pt", sums | {"count": self._saved})
+        write_values(self.directory / "sums.pt", sums | {"count": self._saved, "run": self._key})
         end = time.monotonic()
         self._next_save = end + min(INTERVAL, (end - start) / SHARE_OF_TIME)
+
+    def _read(self, path: Path) -> dict[str, Any]:
+        values = read_values(path)
+        if values.pop("run") != self._key:
+            raise ValueError(f"{path.name} is of another run")
+        return values
 
     def _file(self, index: int) -> Path:
         return self.directory / f"observation-{index:06d}.pt"
