@@ -145,6 +145,40 @@ def test_footprints_of_an_l_and_of_two_parts(tmp_path):
         places[:200, :2].float().numpy())), rel=1e-3)  # fmt: skip
 
 
+def edges_that_meet(geometry):
+    """Pairs of edges of a written shape that meet without a common corner; rings are closed."""
+    parts = geometry["coordinates"] if geometry["type"] == "MultiPolygon" else [geometry["coordinates"]]
+    rings = [np.array(ring) for (ring,) in parts]
+    assert all((ring[0] == ring[-1]).all() and len(np.unique(ring, axis=0)) == len(ring) - 1 > 2 for ring in rings)
+    start, end = (np.concatenate([ring[part] for ring in rings]) for part in (slice(-1), slice(1, None)))
+    a, b, c, d = start[:, None], end[:, None], start[None], end[None]
+
+    def turn(p, q, r):
+        return np.sign((q - p)[..., 0] * (r - p)[..., 1] - (q - p)[..., 1] * (r - p)[..., 0])
+
+    meet = (turn(a, b, c) * turn(a, b, d) <= 0) & (turn(c, d, a) * turn(c, d, b) <= 0)
+    meet &= ((np.minimum(a, b) <= np.maximum(c, d)) & (np.minimum(c, d) <= np.maximum(a, b))).all(2)
+    return int((meet & np.logical_and.reduce([(p != q).any(2) for p in (a, b) for q in (c, d)])).sum()) // 2
+
+
+def test_footprints_are_simple_and_have_the_told_area(tmp_path):
+    for seed in range(30):  # thin walls, crossing each other, and clumps that touch
+        random = np.random.default_rng(seed)
+        ends, along = random.uniform(0, 10, (2, 8, 2)), random.uniform(0, 1, (3000, 1))
+        wall = random.integers(0, 8, 3000)
+        walls = (1 - along) * ends[0][wall] + along * ends[1][wall] + random.normal(0, 0.05, (3000, 2))
+        walk = random.normal(0, 1, (60, 2)).cumsum(0)[random.integers(0, 60, 2000)] + random.normal(0, 0.5, (2000, 2))
+        for places in (walls, walk):
+            geometry, area = footprint_of(torch.from_numpy(np.pad(places, ((0, 0), (0, 1)))), tmp_path)
+            parts = geometry["coordinates"] if geometry["type"] == "MultiPolygon" else [geometry["coordinates"]]
+            assert edges_that_meet(geometry) == 0
+            rings = [(np.array(ring) - ring[0]).T for (ring,) in parts]
+            written = sum((x[:-1] * y[1:] - y[:-1] * x[1:]).sum() / 2 for x, y in rings)  # counter-clockwise, too
+            assert area == pytest.approx(written, abs=1e-3)
+    line = torch.tensor([[0.0, 0, 0], [1, 1, 0], [2, 2, 0]], dtype=torch.float64)
+    assert footprint_of(line, tmp_path)[0]["type"] == "Point"  # without area
+
+
 def test_footprints_of_a_tilted_scene_are_told(tmp_path):
     result = tj.Result.of(tj.Segmentation(torch.zeros(9, dtype=torch.int64), ()), tj.Scene(torch.rand(9, 3), up=UP_X))
     with (

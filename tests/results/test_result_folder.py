@@ -310,11 +310,13 @@ class TestExports:
             for name, labels in zip(result.names, result.at(0.2).images, strict=True):
                 np.testing.assert_array_equal(arrays[f"image:{name}"], labels)
 
-    def test_another_level_tells_that_it_has_no_corrections(self, export, out, result):
+    def test_another_level_tells_that_it_has_no_joins(self, export, out, result):
         write_edits(out, Edits(result.hierarchy.num_superpoints, None, (Edit("name", (0,), "cup"),)))
         try:
-            with pytest.warns(UserWarning, match=r"edits\.json: --granularity gives a level without these corrections"):
+            with pytest.warns(UserWarning, match=r"edits\.json: --granularity .* without joins and splits; names stay"):
                 export("npz", "--granularity", 0.2)
+            with np.load(export("npz", "--overwrite")) as arrays:
+                assert arrays["segment_names"].tolist() == ["cup"] + [""] * (result.num_point_segments - 1)
         finally:
             (out / "edits.json").unlink()
 

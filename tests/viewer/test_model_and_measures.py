@@ -15,6 +15,7 @@ from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.parts import Parts, edited
 from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
+from torchjoint.results.shared_edits import edits_of_names
 from torchjoint.scene import Hierarchy, Scene, Segmentation
 from torchjoint.viewer import cloud
 from torchjoint.viewer.cloud import blocks_of, pick_point
@@ -204,6 +205,25 @@ def test_a_name_stays_with_its_segment_and_finer_ones():
     model.select((3,))
     model.name("")
     assert model.names == {0: "furniture", 1: "furniture", 2: "chair"}
+
+
+def test_a_name_and_the_selection_stay_with_most_points():
+    merges, heights = torch.tensor([[1, 2], [0, 1]]), torch.tensor([0.2, 0.4], dtype=torch.float64)
+    hierarchy = Hierarchy(torch.tensor([0, 1, 1, 1, 2, 2]), merges, heights)
+    segmentation = tj.Segmentation(torch.zeros(6, dtype=torch.int64), (), hierarchy=hierarchy)
+    result = tj.Result.of(segmentation, tj.Scene(torch.rand(6, 3)))
+    model = Model(result, Edits(3), UP)
+    model.select((0,))
+    for level, segment in ((1.0, 1), (None, 0)):
+        model.set_granularity(level)
+        assert model.selected == (segment,)
+    model.name("box")
+    model.split()
+    assert model.names == {1: "box"}
+    assert model.table.tolist() == [0, 1, 1]  # the first superpoint is the smallest
+    assert edits_of_names(result, {0: "box"}, model.parts.of_point) == (Edit("name", (1,), "box"),)
+    older = Edits(3, None, (Edit("name", (0,), "box"), model.edits.steps[-1]))
+    assert model.parts.names(older) == {0: "box"}
 
 
 def test_a_join_takes_the_name_along_and_a_level_is_kept(tmp_path):

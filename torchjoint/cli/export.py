@@ -60,7 +60,7 @@ def export(
             back). coco, sam and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
             the format's suffix (.laz if RESULT is of a .laz).
-        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without corrections by hand; not with
+        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without joins and splits by hand; not with
             method paper.
         only_masked: only what the masks of the run show: segments that lie in masks with at least half of their pixels.
             The others are -1, or left out. Corrections by hand are not in it.

@@ -35,7 +35,7 @@ def label(
             FILE with the dimensions `label` and `confidence`, or NAME and NAME_confidence; all else stays. .glb: the
             mesh in the colours of the segments, one node for each. A folder: a .ply for each segment, with all
             properties of FILE's vertices.
-        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without corrections by hand; not with
+        granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without joins and splits by hand; not with
             method paper.
         name: of the property of the labels in a .ply, or of the dimension in a .las.
         overwrite: replace OUT; a folder must hold nothing but the .ply files of an earlier run.

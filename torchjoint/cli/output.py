@@ -43,7 +43,8 @@ def at_level(result: Path, loaded: Result, granularity: float | None) -> Result:
     if granularity is None:
         return loaded
     if has_file(result / EDITS) and read_json(result / EDITS, "a list of edits")["edits"]:
-        warnings.warn(f"{result / EDITS}: --granularity gives a level without these corrections", stacklevel=3)
+        told = "--granularity gives a level without joins and splits; names stay"
+        warnings.warn(f"{result / EDITS}: {told}", stacklevel=3)
     return loaded.at(granularity)
 
 

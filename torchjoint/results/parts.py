@@ -41,6 +41,15 @@ class Parts:
         return int(own[np.square(points - points.mean(0)).sum(1).argmin()])
 
     @cached_property
+    def sizes(self) -> Table:
+        """[P] the points of each superpoint."""
+        return np.bincount(self.of_point, minlength=self.count)
+
+    def largest(self, superpoints: Table) -> int:
+        """The superpoint that has most points, of several the lowest: a name or a selection stays where it is."""
+        return int(superpoints[self.sizes[superpoints].argmax()])
+
+    @cached_property
     def stored(self) -> Table:
         """[P] the label on disk of each superpoint."""
         stored = np.zeros(self.count, dtype=np.int64)

@@ -87,11 +87,11 @@ def edits_of_points(parts: Parts, before: Edits, labels: ForeignLabels) -> tuple
             gathered.append(Edit("gather", tuple(superpoints.tolist())))
     after = replace(before, steps=(*before.steps, *gathered))
     table, names = parts.table(after), parts.names(after)
-    first = {one: int(superpoints[0]) for one, superpoints in superpoints_of.items()}
+    place = {one: parts.largest(superpoints) for one, superpoints in superpoints_of.items()}
     named = [
-        Edit("name", (first[one],), name)
+        Edit("name", (place[one],), name)
         for one, name in sorted(labels.names.items())
-        if one in first and _told(name) and _told(name) != names.get(int(table[first[one]]), "").strip()
+        if one in place and _told(name) and _told(name) != names.get(int(table[place[one]]), "").strip()
     ]
     lost = int((labelled & (labels.of_point != of_superpoint[parts.of_point])).sum())
     return (*gathered, *named), lost
@@ -139,8 +139,8 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray
     own = boxes_of(result)
     inside = _members(boxes, points)
     segment_of = _matches(inside, _members([*own.values()], points), [*own])
-    first, known = _first_superpoints(result, superpoint), np.flatnonzero(labels >= 0)
-    shape = len(points), len(first)
+    place, known = _places(result, superpoint), np.flatnonzero(labels >= 0)
+    shape = len(points), len(place)
     of_segment = csr_array((np.ones(len(known), np.int64), (known, labels[known])), shape=shape)
     shares = ((inside @ of_segment) / np.maximum(of_segment.sum(0), 1)).tocsc()  # [B, S]
     steps: list[Edit] = []
@@ -149,7 +149,7 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray
         held = shares[:, [segment]].toarray()[:, 0]
         holder = next((number for number in by_size if held[number] > INSIDE), None)
         if holder is not None:
-            steps.append(Edit("join", (int(first[segment_of[holder]]), int(first[segment]))))
+            steps.append(Edit("join", (int(place[segment_of[holder]]), int(place[segment]))))
     stayed = len(own) - len(set(segment_of.values())) - len(steps)
     named = edits_of_names(result, {one: boxes[number].name for number, one in segment_of.items()}, superpoint)
     empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
@@ -199,20 +199,18 @@ def _count(text: str) -> int:
 
 def edits_of_names(result: Result, names: Mapping[int, str], superpoint: npt.NDArray[np.int64]) -> tuple[Edit, ...]:
     """The corrections that give segments their names; arguments as of :func:`edits_of_boxes`."""
-    first, before = _first_superpoints(result, superpoint), result.segment_names
+    place, before = _places(result, superpoint), result.segment_names
     return tuple(
-        Edit("name", (int(first[segment]),), _told(name))
+        Edit("name", (int(place[segment]),), _told(name))
         for segment, name in sorted(names.items())
         if _told(name) and _words(name) != _words(before.get(segment, ""))
     )
 
 
-def _first_superpoints(result: Result, superpoint: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """The lowest superpoint of each segment, by which corrections know it."""
+def _places(result: Result, superpoint: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """The largest superpoint of each segment, by which corrections know it: after a split a name stays with it."""
     labels = result.points.numpy()
-    first = np.full(int(labels.max()) + 1, len(labels))
-    np.minimum.at(first, labels[labels >= 0], superpoint[labels >= 0])
-    return first
+    return _most(labels[labels >= 0], superpoint[labels >= 0], int(labels.max()) + 1)
 
 
 def _members(boxes: Sequence[Box], points: npt.NDArray[np.float64]) -> csr_array:

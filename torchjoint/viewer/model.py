@@ -187,17 +187,16 @@ class Model:
     def split(self) -> None:
         """Splits the selected segment at the place that :func:`place_to_split` chooses, and selects both parts."""
         segment = self._the_selected("split")
-        sizes = np.bincount(self.parts.of_point, minlength=self.parts.count)
         of_superpoint = self.table == segment
-        self._add(Edit("split", place_to_split(self.table, segment, sizes, self.result.hierarchy)))
+        self._add(Edit("split", place_to_split(self.table, segment, self.parts.sizes, self.result.hierarchy)))
         self.select(tuple(int(part) for part in np.unique(self.table[of_superpoint])))
 
     def name(self, name: str) -> None:
         """Names the selected segment; an empty name removes its name. Consecutive names are one change."""
-        segment = self._the_selected("name")
+        place = self._place_of(self._the_selected("name"), self.table)
         if len(name) > LONGEST:
             raise ValueError(f"name: expected at most {LONGEST} characters, got {len(name)}")
-        step, steps = Edit("name", (segment,), name, self.edits.granularity), self.edits.steps
+        step, steps = Edit("name", (place,), name, self.edits.granularity), self.edits.steps
         if self._before and steps and steps[-1] == replace(step, name=steps[-1].name):
             self._edit(replace(self.edits, steps=(*steps[:-1], step)))  # replaces the name while the user types
         else:
@@ -223,6 +222,10 @@ class Model:
             raise ValueError(f"{action}: expected one selected segment, got {len(self.selected)}")
         return self.selected[0]
 
+    def _place_of(self, segment: int, table: Table) -> int:
+        """The superpoint that stands for a segment of a table when it changes."""
+        return self.parts.largest(np.flatnonzero(table == segment))
+
     def _pick(self, clicks: tuple[Click, ...]) -> None:
         if not clicks:
             self.select(())
@@ -243,7 +246,8 @@ class Model:
         self._picked, self.clicks = picked, ()
         ids = self.parts.ids(shown)
         if not (np.array_equal(before, self.table) and np.array_equal(ids, self.measures.ids)):
-            self.selected = tuple(dict.fromkeys(int(self.table[segment]) for segment in self.selected))
+            places = [self._place_of(segment, before) for segment in self.selected]
+            self.selected = tuple(dict.fromkeys(self.table[places].tolist()))
             self.measures.of_table(self.table, ids)
 
     # Words

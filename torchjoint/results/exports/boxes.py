@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from torchjoint.results import boxes
-from torchjoint.results.objects import members, segment_records
+from torchjoint.results.objects import level_axes, members, segment_records
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.files import write_text
@@ -51,6 +51,8 @@ def export_csv(path: Path, result: Result) -> None:
 def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     """Writes the footprint of each segment, the outline of its points seen along z, with the values of COLUMNS.
 
+    `area` is that of the written outline. Outlines are simple: no two edges meet but in the corner of neighbours.
+
     Args:
         path: of the file; QGIS, GDAL and GeoPandas read it.
         result: with places in metres, or in the unit of the survey.
@@ -67,14 +69,15 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     features = []
     for row, points in _rows(result):
         digits = 7 if np.abs(points[:, :2]).max() <= 360 else 3  # a survey's coordinates may be degrees
-        rings = [np.round([*ring, ring[0]], digits).tolist() for ring in _footprint(points[:, :2])]
-        if len(rings[0]) <= 3:
+        corners = [np.round(ring, digits) for ring in _footprint(points[:, :2])]
+        rings, area = [[*ring.tolist(), ring[0].tolist()] for ring in corners], sum(map(_area, corners))
+        if not area:
             shape = {"type": "Point", "coordinates": rings[0][0]}
         elif len(rings) == 1:
             shape = {"type": "Polygon", "coordinates": rings}
         else:
             shape = {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
-        properties = dict(zip(COLUMNS, row, strict=True))
+        properties = dict(zip(COLUMNS, row, strict=True)) | {"area": round(area, 4)}
         features.append({"type": "Feature", "id": row[0], "properties": properties, "geometry": shape})
     system = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}
     collection = {"type": "FeatureCollection", **({} if epsg is None else {"crs": system}), "features": features}
@@ -87,7 +90,7 @@ def _rows(result: Result) -> Iterator[tuple[tuple[int | str | float | None, ...]
     for one in segment_records(result.scene, result):
         points, axes = result.scene.points[of_all[one.id]].double().numpy(), one.box.axes
         middle, half = float(one.box.center @ axes[2]), float(one.box.size[2]) / 2
-        area = sum(map(_area, _footprint(points @ axes[:2].T)))
+        area = sum(map(_area, _footprint(points @ level_axes(axes[2]).T)))  # as GeoJSON's
         lengths = (*one.box.center, *one.box.size, middle - half, middle + half, area)
         *sizes, bottom, top, area = [round(float(value), 4) for value in lengths]
         sure = None if one.confidence is None else round(one.confidence, 4)
@@ -101,8 +104,8 @@ def _footprint(places: Array) -> list[Array]:
     """
     import cv2
 
-    origin = places.mean(0)  # float32 has too few digits for coordinates of surveys
-    hull = cv2.convexHull((places - origin).astype(np.float32))[:, 0].astype(float) + origin
+    # float32 has too few digits for coordinates of surveys
+    hull = places[cv2.convexHull((places - places.mean(0)).astype(np.float32), returnPoints=False)[:, 0]]
     low, length = places.min(0), float(np.ptp(places, axis=0).max())
     cell = max(CELL * math.sqrt(_area(hull) / len(places)), length / MOST_CELLS)
     if len(places) < FEW or _area(hull) <= (CLOSED - 1) * cell * length:
@@ -112,10 +115,35 @@ def _footprint(places: Array) -> list[Array]:
     covered[row, column] = 1
     round_hole = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (CLOSED, CLOSED))
     covered = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, round_hole)
-    found, _ = cv2.findContours(covered, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    rings = [low + cell * (cv2.approxPolyDP(ring, 1, closed=True)[::-1, 0] - CLOSED) for ring in found]
-    rings = [ring for ring in rings if len(ring) > 2]
+    times = np.full(1, 2)
+    while (times > 1).any():  # an outline passes twice where parts touch or are one cell wide: not there
+        found, _ = cv2.findContours(covered, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cells, times = np.unique(np.concatenate(found)[:, 0], axis=0, return_counts=True)
+        covered[*cells[times > 1].T[::-1]] = 0
+    for far in (1, 0.5, 0):  # corners that are moved as far may let edges meet
+        corners = [cv2.approxPolyDP(ring, far, closed=True)[::-1, 0].astype(int) for ring in found]
+        corners = [ring for ring in corners if _area(ring) > 0]
+        if not _meet(corners):
+            break
+    rings = [low + cell * (ring - CLOSED) for ring in corners]
     return rings if 0 < sum(map(_area, rings)) < CONVEX * _area(hull) else [hull]
+
+
+def _meet(rings: list[npt.NDArray[np.int64]]) -> bool:
+    """Whether edges of rings [K, 2] meet that have no corner in common."""
+    edges = np.concatenate([np.zeros((0, 2, 2), int), *(np.stack([ring, np.roll(ring, -1, 0)], 1) for ring in rings)])
+    for one in edges:
+        others = edges[(edges.min(1) <= one.max(0)).all(1) & (edges.max(1) >= one.min(0)).all(1)]
+        others = others[(others[:, :, None] != one).any(3).all((1, 2))]
+        if ((_sides(one[None], others) <= 0) & (_sides(others, one[None]) <= 0)).any():
+            return True
+    return False
+
+
+def _sides(edges: npt.NDArray[np.int64], others: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """[E] 1: both ends of the other edge [E, 2, 2] are on one side of an edge; -1: on both; 0: one is on its line."""
+    along, to = edges[:, 1:] - edges[:, :1], others - edges[:, :1]
+    return np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]).prod(1)
 
 
 def _area(ring: Array) -> float:

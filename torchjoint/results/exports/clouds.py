@@ -60,10 +60,11 @@ def export_las(path: Path, result: Result) -> None:
 
 @on_cpu()
 def export_npz(path: Path, result: Result) -> None:
-    """Writes the arrays points [N, 3], labels [N], colors [N, 3] if any, names [L], `image:NAME` [H, W].
+    """Writes the arrays points [N, 3], labels [N], colors [N, 3] if any, names [L], segment_names [S], `image:NAME`.
 
-    NAME is the name of the frame's file in a result. A result with a confidence also has the arrays confidence [S], of
-    the segments, and point_confidence [N].
+    names are those of the frames, and a segment without a name has "". Images are [H, W]; NAME is the name of the
+    frame's file in a result. A result with a confidence also has the arrays confidence [S], of the segments, and
+    point_confidence [N].
     """
     arrays = {"points": result.scene.points.numpy(), "labels": result.points.numpy()}
     if result.scene.colors is not None:
@@ -72,6 +73,8 @@ def export_npz(path: Path, result: Result) -> None:
         arrays |= {"confidence": result.confidence.numpy(), "point_confidence": result.point_confidence.numpy()}
     names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
     arrays["names"] = np.array(names, dtype=str)
+    called = [result.segment_names.get(segment, "") for segment in range(result.num_point_segments)]
+    arrays["segment_names"] = np.array(called, dtype=str)
     named = zip(frame_files(names), result.images, strict=True)
     arrays |= {f"image:{name}": image.numpy().astype(np.int32) for name, image in named}
     write_archive(path, arrays)
