@@ -134,7 +134,7 @@ def test_superpoints_in_pointcept(monkeypatch, tmp_path):
     coord, color = bumpy(300, 0).numpy(), (255 * bumpy(300, 0)).numpy()
     np.save(scene / "coord.npy", coord)
     np.save(scene / "color.npy", color)
-    execute("for Pointcept", Path=Path, tj=tj)
+    execute("for Pointcept")
     labels = torch.from_numpy(np.load(scene / "superpoint.npy"))
     assert torch.equal(labels, tj.superpoints(torch.from_numpy(coord), torch.from_numpy(color).to(torch.uint8)))
     few = labels[::7]  # a sample has gaps in its numbers

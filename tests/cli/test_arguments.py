@@ -128,6 +128,18 @@ def test_a_hyphen_is_no_file(run, result, tmp_path, monkeypatch, form):
     assert not (tmp_path / "-").exists()
 
 
+@pytest.mark.parametrize(
+    ("form", "names", "ends"),
+    [("csv", ["report", "report.geojson"], r"\.csv"), ("geojson", ["a.csv"], r"\.geojson or \.json"),
+     ("openpcdet", ["boxes"], r"\.txt"), ("las", ["a"], r"\.las or \.laz"), ("npz", ["a.npy"], r"\.npz")],
+)  # fmt: skip
+def test_a_file_of_one_format_has_its_suffix(run, result, tmp_path, form, names, ends):
+    for name in names:
+        with pytest.raises(SystemExit, match=rf"-o: expected a name that ends in {ends}, got .*{name}"):
+            run("export", result, "--format", form, "-o", tmp_path / name)
+    assert list(tmp_path.iterdir()) == [result]
+
+
 def test_boxes_name_the_cloud_beside_them(run, result, tmp_path):
     run("export", result, "--format", "labelcloud", "-o", tmp_path / "boxes.json")
     assert f'"path": "{tmp_path / "boxes.ply"}"' in (tmp_path / "boxes.json").read_text()

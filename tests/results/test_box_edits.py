@@ -318,6 +318,8 @@ def test_any_boxes_come_back(tmp_path_factory, boxes):
             '{"images": [], "categories": []}',
             "expected boxes, got COCO's masks of images; they go into a new",
         ),
+        ("a.geojson", "{}", r"a\.geojson: expected boxes or labels, \.json or \.txt, or a \.csv of `export`"),
+        ("a.json", '{"type": "a", "features": []}', r"or names, in a \.csv\): ValueError\('got type, features'\)"),
         ("a.json", "[1]", "expected boxes: `objects` of labelCloud, `annotations` of Segments.ai"),
         ("a.json", '{"objects": 3}', "objects is int"),
         ("a.json", '{"objects": [{"name": "a"}]}', "object 0: expected name, centroid"),
@@ -538,7 +540,10 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
         with pytest.raises(SystemExit, match=rf"names\.csv: (line 2: 'hut': )?.*{told}"):
             run("edits", "import", out, table)
     table.write_bytes("id,name,points\n0,Gebäude,1\n".encode("cp1252"))
-    with pytest.raises(SystemExit, match=r"names\.csv: expected a table of segments, saved as CSV in UTF-8, as text"):
+    with pytest.raises(SystemExit, match=r"names\.csv: expected a table of segments \(CSV, UTF-8\) as text"):
+        run("edits", "import", out, table)
+    table.unlink()
+    with pytest.raises(SystemExit, match=r"names\.csv: missing; expected a table of segments \(CSV, UTF-8\)$"):
         run("edits", "import", out, table)
     table.write_text("id,name\n")
     with pytest.raises(SystemExit, match="expected the columns id, name and points"):

@@ -311,8 +311,10 @@ def test_the_property_comes_last_in_any_header(tmp_path):
 
 
 def test_files_that_cannot_be_labelled(tmp_path, run):
-    with pytest.raises(ValueError, match=r"a\.txt: expected a file that ends in \.ply, \.obj"):
-        label_file(tmp_path / "a.txt", tmp_path / "b.ply", of_squares())
+    for name, out in (("a.txt", "b.ply"), ("a.e57", "b.las"), ("", "b.ply"), ("a.bin", "b")):
+        write = label_file if "." in out else part_files
+        with pytest.raises(ValueError, match=r"expected a file .*\.ply, \.las, \.laz, .* one by one; .* --format las"):
+            write(tmp_path / name, tmp_path / out, of_squares())
     (tmp_path / "a.glb").write_bytes(b"glTF no")
     with pytest.raises(ValueError, match=r"a\.glb: not a whole \.glb mesh"):
         label_file(tmp_path / "a.glb", tmp_path / "b.ply", of_squares())
@@ -467,8 +469,10 @@ class TestSurvey:
     def test_what_cannot_be(self, survey, run, tmp_path):
         with pytest.raises(SystemExit, match=rf"{tmp_path}/out\.ply: expected \.las or \.laz for site\.laz"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.ply")
-        with pytest.raises(SystemExit, match=rf"{tmp_path}/out: expected \.las or \.laz for site\.laz"):
+        with pytest.raises(SystemExit, match=rf"-o: expected .* \.las or \.laz, got {tmp_path}/out"):
             run("export", survey[1], "--format", "las", "-o", tmp_path / "out")
+        with pytest.raises(SystemExit, match=r"site\.laz: expected a mesh .* give -o lab\.laz, or write parts with"):
+            run("label", survey[1], survey[0], "-o", tmp_path / "lab")
         with pytest.raises(SystemExit, match="expected no dimension quality, got one; remove it first"):
             run("label", survey[1], survey[0], "-o", tmp_path / "out.laz", "--name", "quality")
         for name in ("x" * 33, "x" * 22):  # the second with _confidence

@@ -11,6 +11,7 @@ from PIL import Image
 
 import torchjoint as tj
 from torchjoint.results.edits import Edit, Edits, write_edits
+from torchjoint.results.exports import SUFFIXES
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.figures import overlay
 from torchjoint.results.folder import write_result
@@ -256,7 +257,7 @@ class TestExports:
     @pytest.fixture
     def export(self, run, out, tmp_path):
         def command(kind, *arguments):
-            target = tmp_path / (kind if kind == "ply" else f"export.{kind}")  # ply: a folder
+            target = tmp_path / f"export{SUFFIXES.get(kind, '')}"
             run("export", out, "--format", kind, "-o", target, *arguments)
             return target
 

@@ -157,15 +157,17 @@ def test_the_selection_as_coco(model):
     assert max(keys) >= model.result.num_point_segments  # one of both is new
     first, second = model.selected
     model.select((first,))
-    model.name("seat")
+    model.name('"seat"')
     model.select((first, second))
     name, content = export_selected(model, "COCO")
-    assert name == f"{model.key(first)}-seat-{model.key(second)}.json"
+    assert name == f"{model.key(first)}-_seat_-{model.key(second)}.json"  # as Windows takes it
     found = json.loads(content)["annotations"]
     assert {one["segment_id"] for one in found} == keys
-    assert {one.get("segment_name") for one in found if one["segment_id"] == model.key(first)} == {"seat"}
+    assert {one.get("segment_name") for one in found if one["segment_id"] == model.key(first)} == {'"seat"'}
     assert not any("segment_name" in one for one in found if one["segment_id"] != model.key(first))
     assert all(one["in_cloud"] for one in found)
+    sure = {model.key(part): round(model.row(part).sure, 4) for part in model.selected}
+    assert {one["segment_id"]: one.get("score") for one in found} == sure
 
 
 def tree():

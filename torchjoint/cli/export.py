@@ -23,6 +23,8 @@ from torchjoint.runtime.messages import say
 
 #: What a folder of a format has in it.
 _IN_FOLDER = {"sam": (".json",), "ply": (".ply",), "scannet": (".txt",), "openmask3d": (".pt", ".npy")}
+#: A second suffix that the file of a format may have.
+_ALSO = {"las": ".laz", "geojson": ".json"}
 
 #: What has boxes that turn about z alone.
 _BOXES = ("openpcdet", "labelcloud", "segmentsai-cuboids", "cvat")
@@ -83,6 +85,9 @@ def export(
     out = out or Path(f"{result.resolve().name}-{format}{suffix}")
     inputs, kinds = parts_of(result), _IN_FOLDER.get(format)
     made = output_files_in(out, kinds, overwrite, inputs) if kinds else output_file(out, overwrite, inputs)
+    ends = [one for one in (SUFFIXES.get(format), _ALSO.get(format)) if one]
+    if ends and out.suffix.lower() not in ends:
+        raise ValueError(f"-o: expected a name that ends in {' or '.join(ends)}, got {out}")
     is_turned = format in _BOXES and float(up_direction(loaded.scene)[2]) < LEVEL
     turned = output_file(out.with_suffix(".ply"), overwrite, [*inputs, out]) if is_turned else None
     with made.written() as path:

@@ -88,7 +88,8 @@ def superpoints(
     if cloud.is_dir():
         raise ValueError(f"{cloud}: expected a file, or a folder of .las and .laz files; other files one by one")
     if out.suffix not in (".ply", ".npy", ".npz"):
-        raise ValueError(f"-o: expected a file that ends in .ply, .npy or .npz, got {out}")
+        more = ", .las, .laz" if is_las(cloud) else ""
+        raise ValueError(f"-o: expected a file that ends in .ply{more}, .npy or .npz, got {out}")
     made = output_file(out, overwrite, (cloud,))
     pictured = output_file(png, overwrite, (cloud,)) if picture else None
     row = int(columns) if columns and columns.isdecimal() else columns

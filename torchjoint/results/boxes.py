@@ -119,8 +119,10 @@ def segmentsai_object(segment: int, name: str) -> dict[str, Any]:
 
 
 def read_boxes(file: Path) -> list[Box]:
-    """Reads boxes: a .json of labelCloud (centroid_abs), Segments.ai or CVAT; anything else has lines of OpenPCDet."""
-    if file.suffix.lower() != ".json":
+    """Reads boxes: a .json of labelCloud (centroid_abs), Segments.ai or CVAT, or a .txt of OpenPCDet."""
+    if file.suffix.lower() not in (".json", ".txt"):
+        raise ValueError(f"{file}: expected boxes or labels, .json or .txt, or a .csv of `export`, for names alone")
+    if file.suffix.lower() == ".txt":
         text = read_text(file, "boxes", bounds.JSON_BYTES, errors="replace")
         rows = [(number, line.split(maxsplit=7)) for number, line in enumerate(text.splitlines(), start=1)]
         return [_box(row[7:], row[:7], f"{file}, line {number}") for number, row in rows if row]
@@ -129,13 +131,15 @@ def read_boxes(file: Path) -> list[Box]:
         raise ValueError(f"{file}: expected boxes, got COCO's masks of images; they go into a new run: segment --masks")
     try:
         record = record.get("attributes", record)  # of a whole label of Segments.ai
-        key = next((key for key in ("annotations", "items") if key in record), "objects")
+        key = next((key for key in ("annotations", "items", "objects") if key in record), None)
+        if key is None:
+            raise ValueError(f"got {', '.join(record)}"[:99])
         objects = _cuboids(record) if key == "items" else record[key]
         if not isinstance(objects, list):
             raise TypeError(f"{key} is {type(objects).__name__}")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         expected = "expected boxes: `objects` of labelCloud, `annotations` of Segments.ai, or `items` of CVAT"
-        raise ValueError(f"{file}: {expected} ({error!r})") from error
+        raise ValueError(f"{file}: {expected} (or names, in a .csv): {error!r}") from error
     return [_of_record(one, key, f"{file}, object {number}") for number, one in enumerate(objects)]
 
 

@@ -23,7 +23,7 @@ from torchjoint.datasets.files.las import las_chunks, las_library, laz_backend, 
 from torchjoint.datasets.files.ply import PlyRecords, read_ply, read_records, write_bytes, write_cloud
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
-from torchjoint.runtime.files import file_name
+from torchjoint.runtime.files import portable_name
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.groups import with_none
 from torchjoint.runtime.messages import needed_for
@@ -195,7 +195,7 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
         result: the result.
         name: of the property.
     """
-    is_survey = [file.suffix.lower() in las.SUFFIXES for file in (source, out)]
+    is_survey = [_is_survey(source), out.suffix.lower() in las.SUFFIXES]
     if is_survey[0] != is_survey[1]:
         raise ValueError(f"{out}: expected .las or .laz for {source.name}" if is_survey[0] else
                          f"{source}: expected .las or .laz for {out.name}")  # fmt: skip
@@ -227,6 +227,9 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
         folder: a new folder, for files 000000.ply, or 000000-NAME.ply, by label.
         result: the result.
     """
+    if _is_survey(source):
+        told = f"give -o {folder.name}.laz, or write parts with `torchjoint export RESULT --format ply`"
+        raise ValueError(f"{source}: expected a mesh or a .ply, for a folder of parts; {told}")
     mesh = _read(source)
     folder.mkdir()
     with damage_is(str(source)):
@@ -241,23 +244,25 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
             file.write_bytes(parts.some_vertices(which.numpy(), triangles))
 
 
+def _is_survey(source: Path) -> bool:
+    """Whether a file is a .las or .laz, and no .ply or mesh; an error for all else."""
+    suffix, kinds = source.suffix.lower(), (".ply", *las.SUFFIXES, *meshes.SUFFIXES)
+    if suffix not in kinds:
+        told = "files of a folder one by one; labels of other clouds: `torchjoint export RESULT --format las` or `ply`"
+        raise ValueError(f"{source}: expected a file that ends in {', '.join(kinds)}; {told}")
+    return suffix in las.SUFFIXES
+
+
 def _read(source: Path) -> CloudFile:
-    suffix = source.suffix.lower()
-    if suffix in las.SUFFIXES:
-        raise ValueError(
-            f"{source}: expected a mesh or a .ply, for a folder of parts; export --format ply writes parts"
-        )
-    if suffix not in (".ply", *meshes.SUFFIXES):
-        raise ValueError(f"{source}: expected a file that ends in {', '.join(('.ply', *meshes.SUFFIXES))}")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", KEPT)
-        return read_ply(source) if suffix == ".ply" else meshes.read_mesh_file(source)
+        return read_ply(source) if source.suffix.lower() == ".ply" else meshes.read_mesh_file(source)
 
 
 def file_stem(segment: int, result: Result) -> str:
     """The name of the file of a segment, without suffix."""
     name = result.segment_names.get(segment)
-    return f"{segment:06d}" if name is None else file_name(f"{segment:06d}-{name}")
+    return f"{segment:06d}" if name is None else portable_name(f"{segment:06d}-{name}")
 
 
 def _records(source: Path, mesh: CloudFile) -> PlyRecords:

@@ -48,6 +48,15 @@ def file_name(name: str, *, is_free: bool = True) -> str:
     return f"{re.sub(r'[^A-Za-z0-9-]+', '_', name)[:100]}-{hashlib.sha256(raw).hexdigest()[:12]}"
 
 
+def portable_name(name: str) -> str:
+    """The same where nothing else has the name: what Windows refuses becomes _, without a checksum.
+
+    >>> portable_name('000002-Straße, "Süd"')
+    '000002-Straße, _Süd_'
+    """
+    return file_name(re.sub(r'[<>:"/\\|?*]', "_", name))
+
+
 def frame_files(names: Sequence[str]) -> list[str]:
     """The file names of frames, without suffix; a frame without a name has its number.
 

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from torchjoint.config import SuperpointsConfig
+from torchjoint.datasets.files import clouds
 from torchjoint.datasets.files.las import COPC, SUFFIXES, check_no_copc
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import EngineLike, open_engine
@@ -164,6 +165,8 @@ def _check_sizes(tile: float | None, buffer: float | None) -> None:
 def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool) -> None:
     if not cloud.is_dir() and out.suffix.lower() not in SUFFIXES:
         raise ValueError(f"out: expected a file that ends in .las or .laz, got {out}")
+    if cloud.is_dir() and out.suffix.lower() in clouds.SUFFIXES and not out.is_dir():
+        raise ValueError(f"out: a folder of clouds gives a folder: expected its name, got that of a file, {out}")
     check_no_copc(out)
     if not out.parent.is_dir():
         raise FileNotFoundError(f"out: expected an existing folder, got {out.parent}")

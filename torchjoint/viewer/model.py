@@ -22,7 +22,7 @@ from torchjoint.results.exports.masks import export_coco
 from torchjoint.results.parts import Parts
 from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
-from torchjoint.runtime.files import file_name, frame_files
+from torchjoint.runtime.files import frame_files, portable_name
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.viewer.measures import Measures, Row, kept_numbers
 
@@ -292,7 +292,7 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
         raise ValueError("export: select a segment first")
     called = {model.key(segment): model.names.get(segment, "") for segment in model.selected}
     name = "-".join(f"{key}-{name}" if name else str(key) for key, name in [*called.items()][:5])
-    name = file_name(name + (f"-and-{len(called) - 5}-more" if len(called) > 5 else ""))
+    name = portable_name(name + (f"-and-{len(called) - 5}-more" if len(called) > 5 else ""))
     result = model.result
     keys = np.where(np.isin(model.table, model.selected), model.measures.ids, -1)  # of superpoints; -1: others
     labels = torch.from_numpy(keys[model.parts.of_point])
@@ -307,6 +307,8 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     if kind == "PNG":
         return f"{name}-masks.zip", _masks(images, result.names)
     picked = replace(result, points=labels, images=images, hierarchy=None, superpoint_images=(), segment_names=called)
+    votes = result.hierarchy and result.hierarchy.votes
+    vars(picked)["_confidence"] = votes and votes.confidence(torch.from_numpy(model.measures.ids))
     return _written(f"{name}.json", lambda file: export_coco(file, picked))
 
 
