@@ -139,7 +139,8 @@ def read_boxes(file: Path) -> list[Box]:
             raise TypeError(f"{key} is {type(objects).__name__}")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         expected = "expected boxes: `objects` of labelCloud, `annotations` of Segments.ai, or `items` of CVAT"
-        raise ValueError(f"{file}: {expected} (or names, in a .csv): {error!r}") from error
+        told = error if type(error) is ValueError else repr(error)
+        raise ValueError(f"{file}: {expected} (or names, in a .csv): {told}") from error
     return [_of_record(one, key, f"{file}, object {number}") for number, one in enumerate(objects)]
 
 
