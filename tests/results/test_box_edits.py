@@ -529,11 +529,11 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     assert tj.load_result(out).segment_names[2] == "shed"
     for wrong, told in (
         ({"points": "3"}, "the table says 3"),
-        ({"points": "3.0"}, "the table says 3.0"),
-        ({"id": "9999", "points": "0"}, "expected the id of a segment, got '9999'"),
-        ({"id": "-1", "points": "0"}, "expected the id of a segment, got '-1'"),
-        ({"id": "x"}, "expected the id"),
-        ({"id": "9" * 5000}, "expected the id"),
+        ({"points": "3.0"}, "the table says 3;"),
+        ({"id": "9999", "points": "0"}, "segment 9999: expected the id"),
+        ({"id": "-1", "points": "0"}, "segment -1: expected the id"),
+        ({"id": "x"}, "expected the id of a segment"),
+        ({"id": "9" * 5000}, "expected the id of a segment"),
         ({"name": "shed" * 40_000}, "field larger than field limit"),
     ):
         write([rows[0] | {"name": "hut"} | wrong])

@@ -180,13 +180,11 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
             name = printable((row["name"] or "").strip()).removeprefix("'")  # csv_text's, before what would be computed
             if name in ("", result.segment_names.get(segment, "")):
                 continue
+            told = f"line {table.line_num}: {name!r}: segment {(row['id'] or '')[:20]}"
             if segment not in sizes:
-                told = f"expected the id of a segment, got {(row['id'] or '')[:20]!r}: is the table of another result?"
-                raise ValueError(f"line {table.line_num}: {name!r}: {told}")
-            if (known := sizes[segment]) != points:
-                told = f"segment {segment} has {known} points, the table says {(row['points'] or '')[:20]}"
-                told += ": corrections are newer than it, or it is of another result; export it again"
-                raise ValueError(f"line {table.line_num}: {name!r}: {told}, or leave the name out")
+                raise ValueError(f"{told}: expected the id of a segment; is it a table of another result?")
+            if sizes[segment] != points:
+                raise ValueError(f"{told}: {sizes[segment]} points, the table says {points}; export it again")
             names.append((segment, name))
     return dict_of(names, f"{file}: id")
 

@@ -116,10 +116,12 @@ def _footprint(places: Array) -> list[Array]:
     round_hole = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (CLOSED, CLOSED))
     covered = cv2.morphologyEx(covered, cv2.MORPH_CLOSE, round_hole)
     times = np.full(1, 2)
-    while (times > 1).any():  # an outline passes twice where parts touch or are one cell wide: not there
+    while (times > 1).any():  # an outline passes twice where parts touch or are one cell wide: they are made wider
         found, _ = cv2.findContours(covered, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cells, times = np.unique(np.concatenate(found)[:, 0], axis=0, return_counts=True)
-        covered[*cells[times > 1].T[::-1]] = 0
+        thin = np.zeros_like(covered)
+        thin[*cells[times > 1].T[::-1]] = 1
+        covered = np.maximum(covered, cv2.dilate(thin, np.ones((3, 3), np.uint8)))
     for far in (1, 0.5, 0):  # corners that are moved as far may let edges meet
         corners = [cv2.approxPolyDP(ring, far, closed=True)[::-1, 0].astype(int) for ring in found]
         corners = [ring for ring in corners if _area(ring) > 0]
