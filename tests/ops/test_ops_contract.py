@@ -300,6 +300,7 @@ for call in (lambda: ops.nearest_neighbors(points, 2000), lambda: ops.connected_
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space are Linux's")
+@pytest.mark.slow
 def test_an_allocation_that_fails_is_a_memory_error() -> None:
     done = subprocess.run([sys.executable, "-c", LITTLE], capture_output=True, text=True, check=True)
     assert done.stdout == "refused\n" * 2

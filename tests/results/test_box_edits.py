@@ -232,6 +232,7 @@ def test_a_name_that_files_hold_in_another_way_is_not_edited(name):
         assert edits_of_boxes(result, boxes).steps == ()
 
 
+@pytest.mark.slow
 def test_many_boxes_of_a_large_cloud_take_little_memory():
     result = result_of(*(block((column, 0, 0), (0.5, 0.5, 0.5), 0, 200) for column in range(400)))
     boxes = [*boxes_of(result).values()]

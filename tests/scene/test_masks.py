@@ -105,6 +105,7 @@ def test_errors_name_the_argument(masks: dict[str, object], error: type[Exceptio
         frame(**masks)
 
 
+@pytest.mark.slow
 def test_ten_thousand_masks_of_one_pixel():
     stack = torch.zeros(10_000, 240, 320, dtype=torch.bool)
     stack.view(10_000, -1)[torch.arange(10_000), torch.randperm(240 * 320)[:10_000]] = True
