@@ -57,10 +57,15 @@ def examples(sensor=""):
     return [Example(sensor, torch.from_numpy(features), torch.from_numpy(gain).double())]
 
 
-@pytest.fixture
-def quick(monkeypatch):
-    monkeypatch.setattr(scan_model, "street_examples", lambda seeds: examples())
-    monkeypatch.setattr(scan_model, "real_examples", lambda data: [*examples("kitti"), *examples("argo")])
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """The folder of the models that the command makes of few examples."""
+    folder = tmp_path_factory.mktemp("models")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scan_model, "street_examples", lambda seeds: examples())
+        patch.setattr(scan_model, "real_examples", lambda data: [*examples("kitti"), *examples("argo")])
+        train_scan_model(folder, folder / "scan", (0, 1))
+    return folder / "scan"
 
 
 def test_equal_examples_make_equal_models():
@@ -74,11 +79,10 @@ def test_equal_examples_make_equal_models():
 
 
 @pytest.mark.slow
-def test_the_command(quick, tmp_path):
-    train_scan_model(tmp_path, tmp_path / "scan", (0, 1))
-    assert sorted(path.name for path in (tmp_path / "scan").iterdir()) == list(NAMES)
+def test_the_command(trained, tmp_path):
+    assert sorted(path.name for path in trained.iterdir()) == list(NAMES)
     for name in NAMES:
-        assert len(load_boundary_model(tmp_path / "scan" / name, FEATURE_NAMES).members) == 3
+        assert len(load_boundary_model(trained / name, FEATURE_NAMES).members) == 3
     with pytest.raises(ValueError, match="--seeds: expected 0 <= first < end, got 3 3"):
         train_scan_model(None, tmp_path / "other", (3, 3))
 
@@ -88,11 +92,10 @@ def test_a_judged_sensor_is_left_out():
 
 
 @pytest.mark.slow
-def test_a_street_is_judged_by_the_model_of_a_file(quick, tmp_path):
-    train_scan_model(tmp_path, tmp_path / "scan", (0, 1))
+def test_a_street_is_judged_by_the_model_of_a_file(trained, tmp_path):
     made = make_domain_scene("street", 3, num_views=1, num_points=20_000, lidar="32").scene
     instance = made.truth.points.long()
     labelled = LabelledScene(made.select_points(torch.arange(len(instance))), PartialTruth(instance, instance < -1))
     one = RealScene("argo", "argo-street", lambda: labelled)
-    (found,) = real.measure([one], 1, tmp_path, tmp_path / "scan")
+    (found,) = real.measure([one], 1, tmp_path, trained)
     assert 0 < found[one][0]["best_iou"] <= 1
