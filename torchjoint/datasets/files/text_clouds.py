@@ -8,6 +8,7 @@ warning tells what is left out.
 import io
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,24 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
             some = ", ".join(names)[:80]
             raise ValueError(f"{len(names)} names of columns, {some}, but {rows.shape[1]} numbers a row; name all")
         return cloud_of_rows(rows, is_pts=count is not None or path.suffix.lower() == ".pts")
+
+
+def with_column(path: Path, name: str, values: Sequence[int]) -> bytes:
+    """The text of a cloud with one more column, `name` in the line of names; its rows have no comments then."""
+    with damage_is(str(path)):
+        data = _as_utf8(read_file(path, "a point cloud as text"))
+    start, _, names, _ = _preamble(data, str(path))
+    head, rows, left = data[:start].splitlines(), data[start:].splitlines(), iter(values)
+    mark = next((mark for mark in (b";", b",", b"\t") if mark in rows[0]), b" ")
+    for place, row in enumerate(rows):
+        if numbers := re.split(rb"#|//", row)[0].rstrip():
+            rows[place] = numbers + mark + str(next(left)).encode()
+    if names is not None:
+        if name in names:
+            raise ValueError(f"{path}: expected no column {name}, got one; choose another --name")
+        titles = max(place for place, line in enumerate(head) if all(one.encode() in line for one in names))
+        head[titles] += (mark if mark in head[titles] else b" ") + name.encode()
+    return b"\n".join([*head, *rows, b""])
 
 
 def _as_utf8(data: bytes) -> bytes:
