@@ -212,7 +212,8 @@ def test_nothing_is_overwritten(tmp_path, run):
     ("arguments", "message"),
     [
         (["nowhere.ply"], r"nowhere\.ply: missing; expected a point cloud"),
-        (["cloud.doc"], r"cloud\.doc: expected a file that ends in \.ply, \.pcd"),
+        (["nowhere", "-o", "e"], r"nowhere: missing; expected a point cloud"),
+        (["cloud.doc", "-o", "e.ply"], r"cloud\.doc: expected a file that ends in \.ply, \.pcd"),
         (["cloud.npz", "-o", "out.txt"], r"-o: expected a file that ends in \.ply, \.npy or \.npz, got out\.txt"),
         (["site.laz", "-o", "out"], r"-o: expected a file that ends in \.ply, \.las, \.laz, \.npy or \.npz, got out"),
         (["tiles", "-o", "out.laz"], r"out: a folder of clouds gives a folder: expected its name, got .*out\.laz"),
@@ -232,7 +233,7 @@ def test_errors_are_one_line(tmp_path, monkeypatch, arguments, message, run):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "cloud.npz")
     (tmp_path / "tiles").mkdir()
-    for name in ("site.laz", "tiles/a.laz"):
+    for name in ("site.laz", "tiles/a.laz", "cloud.doc"):
         (tmp_path / name).touch()
     (tmp_path / "odd.bin").write_bytes(b"123456")
     np.save(tmp_path / "odd.npy", np.zeros(3))

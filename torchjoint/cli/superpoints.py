@@ -18,7 +18,7 @@ from torchjoint.datasets.files.ply import read_records, write_bytes, write_cloud
 from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.results.figures import cloud_figure
 from torchjoint.results.render import label_colors
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.runtime.messages import say
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import kept_points
@@ -87,6 +87,7 @@ def superpoints(
     png = out.with_name(f"{out.name}.png")
     if cloud.is_dir():
         raise ValueError(f"{cloud}: expected a file, or a folder of .las and .laz files; other files one by one")
+    present(cloud, "a point cloud")
     if out.suffix not in (".ply", ".npy", ".npz"):
         more = ", .las, .laz" if is_las(cloud) else ""
         raise ValueError(f"-o: expected a file that ends in .ply{more}, .npy or .npz, got {out}")
