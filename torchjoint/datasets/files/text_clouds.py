@@ -104,10 +104,8 @@ def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int |
             if {plain(word) for word in words}.issuperset(POINTS[0]):
                 names = words
             elif not is_comment:
-                raise ValueError(
-                    f"{name}: line {number}: expected numbers, or names of columns with x, y and z, got {line[:80]!r}; "
-                    "remove the line, or begin it with #"
-                )
+                told = f"{name}: line {number}: expected numbers, or names of columns with x, y and z"
+                raise ValueError(f"{told}, got {line[:80]!r}; remove the line, or begin it with #")
         elif len(words) == 1 and words[0].isdigit() and count is None:
             count = int(words[0])
         elif words:
@@ -140,10 +138,8 @@ def _numbers(text: bytes, first: int, path: Path) -> Array:
             if not one.strip() or one.startswith((b"#", b"//")):
                 continue
             if len(words) != columns or not all(_is_number(word.decode("latin1")) for word in words):
-                raise ValueError(
-                    f"{path}: not a whole {path.suffix} cloud: line {number}: expected {columns} numbers, got "
-                    f"{_shown(one)}; correct the line, or remove it"
-                ) from error
+                told = f"{path}: not a whole {path.suffix} cloud: line {number}: expected {columns} numbers"
+                raise ValueError(f"{told}, got {_shown(one)}; correct the line, or remove it") from error
         raise ValueError(f"{path}: not a whole {path.suffix} cloud: {error}") from error
 
 
@@ -193,11 +189,8 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
             break
     if rows.shape[1] > len(names):
         what = ", ".join(found[:-1]) + f" and {found[-1]}" if len(found) > 1 else found[0]
-        warnings.warn(
-            f"of {rows.shape[1]} columns, the first {len(names)} are read, {what}; the rest is left out; --columns "
-            "xyz... names others",
-            stacklevel=3,
-        )
+        told = f"of {rows.shape[1]} columns, the first {len(names)} are read, {what}"
+        warnings.warn(f"{told}; the rest is left out; --columns xyz... names others", stacklevel=3)
     return cloud_of(dict(zip(names, rows.T, strict=False)), "rows")
 
 
