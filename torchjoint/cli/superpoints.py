@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchjoint.cli.arguments import OptionalOut, output_file
 from torchjoint.config import SuperpointsConfig
-from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.clouds import read_cloud_file, up_of
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.ply import read_records, write_bytes, write_cloud
@@ -102,7 +102,7 @@ def superpoints(
     kept_points(read.points, str(cloud), "keep" if drop_invalid else "refuse")  # an error names the file
     of_rows = _segmented(read, viewpoint, drop_invalid, config)
     kept, labels = read.chosen(of_rows >= 0), of_rows[of_rows >= 0]
-    scene = Scene(kept.points, colors=kept.colors, normals=kept.normals)
+    scene = Scene(kept.points, colors=kept.colors, normals=kept.normals, up=up_of(cloud))
     with made.written() as path:
         if records is None:
             _write(path, scene, labels, of_rows, kept.faces)
