@@ -301,6 +301,18 @@ def test_text_has_one_more_column(tmp_path, text, labelled):
             label_file(out, file, result, name="thing")
 
 
+def test_the_command_labels_text(run, tmp_path):
+    (tmp_path / "result").mkdir()
+    points = torch.tensor([[0.0, 0, 0], [1, 0, 0]])
+    segmentation = tj.Segmentation(torch.arange(2), ())
+    write_result(tmp_path / "result", tj.Scene(points), segmentation, tj.Config(), "test")
+    (tmp_path / "a.xyz").write_text("1 0 0\n0 0 0\n")
+    run("label", tmp_path / "result", tmp_path / "a.xyz", "-o", tmp_path / "b.txt")
+    assert (tmp_path / "b.txt").read_text() == "1 0 0 1\n0 0 0 0\n"
+    with pytest.raises(SystemExit, match=r"a\.xyz: expected a mesh .* give -o parts\.xyz"):
+        run("label", tmp_path / "result", tmp_path / "a.xyz", "-o", tmp_path / "parts")
+
+
 def test_a_cloud_that_was_mirrored_is_told(scene_of):
     """In a room with walls all around, half of its points are within four spacings of others."""
     scene = scene_of(3).scene

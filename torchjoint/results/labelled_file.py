@@ -167,7 +167,7 @@ def _label_text(source: Path, out: Path, result: Result, name: str) -> None:
     points = _read(source).points
     with damage_is(str(source)):
         nearest = nearest_labels(result, points)
-    out.write_bytes(text_clouds.with_column(source, name, nearest.tolist()))
+    write_bytes(out, text_clouds.with_column(source, name, nearest.tolist()))
 
 
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
