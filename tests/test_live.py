@@ -162,6 +162,8 @@ def test_wrong_input_is_named(frames):
     in_millimetres = replace(frames[0], depth=1000 * frames[0].depth)
     with pytest.raises(ValueError, match=r"depth: expected metres.* these are probably millimetres"):
         played([in_millimetres]).result()
+    with pytest.warns(UserWarning, match="not fused: in millimetres, after others in metres"):
+        played([*frames[1:], in_millimetres])
     with pytest.raises(ValueError, match=r"depth: expected metres.* these are probably metres where"):
         played([replace(frame, depth=frame.depth / 1000) for frame in frames] * 3, step=0)
 

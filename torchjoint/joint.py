@@ -66,10 +66,8 @@ def prepare(
     method = method or choose_method(config, distinct.points)
     graph = method.prepare(distinct, config, merge_within)
     if len(graph.of_given) != len(distinct.points):
-        raise ValueError(
-            f"method: {method.name}.prepare gave a graph of {len(graph.of_given)} points, expected its `of_given` of "
-            f"{len(distinct.points)}; see PointGraph.of"
-        )
+        told = f"method: {method.name}.prepare gave a graph of {len(graph.of_given)} points"
+        raise ValueError(f"{told}, expected its `of_given` of {len(distinct.points)}; see PointGraph.of")
     # The method knows the distinct points only.
     return graph if distinct_of_given is None else graph.of(graph.local, graph.of_given[distinct_of_given]), method
 

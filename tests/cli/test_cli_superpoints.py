@@ -8,6 +8,7 @@ from PIL import Image
 import torchjoint as tj
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import read_vertex_property, write_cloud
+from torchjoint.results.figures import cloud_figure
 from torchjoint.viewer.truth import read_labelled_cloud
 
 POINTS = torch.rand(400, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1.0, 0.01])
@@ -56,6 +57,20 @@ def test_what_it_writes(tmp_path, run, capsys):
         == tj.superpoints(POINTS, COLORS, viewpoint=torch.tensor([0.0, 0, 5])).tolist()
     )
     assert {file.name for file in tmp_path.iterdir()} == {"cloud.npz", "a.ply", "a.ply.png", "b.npy", "c.npz"}
+
+
+def test_the_picture_of_a_glb_is_upright(tmp_path, run, monkeypatch):
+    trimesh = pytest.importorskip("trimesh")
+    (tmp_path / "a.glb").write_bytes(trimesh.creation.icosphere().export(file_type="glb"))
+    drawn = []
+
+    def draw(scene, labels):
+        drawn.append(scene)
+        return cloud_figure(scene, labels)
+
+    monkeypatch.setattr("torchjoint.cli.superpoints.cloud_figure", draw)
+    run("superpoints", tmp_path / "a.glb", "-o", tmp_path / "a.ply")
+    assert drawn[0].up.tolist() == [0, 1, 0]
 
 
 @pytest.mark.filterwarnings("ignore:.*are NaN or infinite; they are left out")
@@ -212,7 +227,8 @@ def test_nothing_is_overwritten(tmp_path, run):
     ("arguments", "message"),
     [
         (["nowhere.ply"], r"nowhere\.ply: missing; expected a point cloud"),
-        (["cloud.doc"], r"cloud\.doc: expected a file that ends in \.ply, \.pcd"),
+        (["nowhere", "-o", "e"], r"nowhere: missing; expected a point cloud"),
+        (["cloud.doc", "-o", "e.ply"], r"cloud\.doc: expected a file that ends in \.ply, \.pcd"),
         (["cloud.npz", "-o", "out.txt"], r"-o: expected a file that ends in \.ply, \.npy or \.npz, got out\.txt"),
         (["site.laz", "-o", "out"], r"-o: expected a file that ends in \.ply, \.las, \.laz, \.npy or \.npz, got out"),
         (["tiles", "-o", "out.laz"], r"out: a folder of clouds gives a folder: expected its name, got .*out\.laz"),
@@ -232,7 +248,7 @@ def test_errors_are_one_line(tmp_path, monkeypatch, arguments, message, run):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "cloud.npz")
     (tmp_path / "tiles").mkdir()
-    for name in ("site.laz", "tiles/a.laz"):
+    for name in ("site.laz", "tiles/a.laz", "cloud.doc"):
         (tmp_path / name).touch()
     (tmp_path / "odd.bin").write_bytes(b"123456")
     np.save(tmp_path / "odd.npy", np.zeros(3))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from folder_files import write_folder
+from folder_files import write_folder, write_truth
 from PIL import Image
 
 import torchjoint as tj
@@ -139,11 +139,16 @@ def test_bad_voxel_size(tmp_path, synthetic, voxel_size):
         tj.load_scene(recording, voxel_size=voxel_size)
 
 
-def test_a_missing_pose(folder):
+def test_a_missing_pose(folder, synthetic):
+    write_truth(folder, synthetic)
     (folder / "frame-000010.pose.txt").unlink()
-    with pytest.raises(
-        FileNotFoundError, match=r"frame-000010\.pose\.txt: missing; expected the pose of a colour frame"
-    ):
+    with pytest.warns(UserWarning, match=r": frame-000010: 1 of \d images have no pose and are left out"):
+        scene = tj.load_scene(folder)
+    assert [frame.name for frame in scene.frames][:3] == ["frame-000000", "frame-000005", "frame-000015"]
+    assert torch.equal(scene.truth.images[2], synthetic.image_labels[3])
+    for file in folder.glob("*.pose.txt"):
+        file.unlink()
+    with pytest.raises(FileNotFoundError, match=r"none of \d colour images has a pose, a file NAME\.pose\.txt"):
         tj.load_scene(folder)
 
 

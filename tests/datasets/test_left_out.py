@@ -38,6 +38,8 @@ def without_pose(name, folder):
     elif name == "bop":
         image = next(path.rglob("rgb/*.png"))
         shutil.copy(image, image.with_name("000777.png"))
+    elif name == "folder":
+        next(path.glob("*.pose.txt")).unlink()
     elif name == "nerfstudio":
         image = next(path.rglob("*0.png"))
         shutil.copy(image, image.with_name(image.name.replace("0.png", "777.png")))
@@ -47,7 +49,7 @@ def without_pose(name, folder):
 @pytest.mark.parametrize(
     "name",
     ["tum", "arkitscenes", "bop", "replica", "colmap", "scannet", "scannet_exported", "posed_images",
-     "nerfstudio"],
+     "nerfstudio", "folder"],
 )  # fmt: skip
 def test_they_are_told(name, tmp_path):
     path = without_pose(name, tmp_path)

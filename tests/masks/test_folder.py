@@ -236,6 +236,16 @@ def test_a_coco_file_in_a_folder_is_told(tmp_path):
             read(tmp_path)
 
 
+def test_masks_of_nearly_the_whole_image_are_told(tmp_path):
+    stack = torch.ones(2, *SIZE, dtype=torch.bool)
+    stack[1, :2] = False
+    for name in "ab":
+        tj.masks.save_masks(tmp_path / f"{name}.npz", tj.masks.from_stack(stack))
+    write_labels(tmp_path / "c.png")
+    with pytest.warns(UserWarning, match="2 masks, in 2 of 3 images, cover more than 90% of them; they join what they"):
+        tj.masks.folder.check_files(tmp_path)
+
+
 def test_what_cannot_be_matched_is_an_error(tmp_path):
     write_labels(tmp_path / "x.png")
     with pytest.raises(ValueError, match=r"no masks .*have the name of a frame: masks x; frames a, b"):

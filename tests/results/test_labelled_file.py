@@ -79,7 +79,7 @@ def test_splats_get_labels_and_keep_every_byte(splats, run, tmp_path):
     with pytest.raises(SystemExit, match="exists already"):
         run("label", tmp_path / "result", path, "-o", tmp_path / "things")
     with pytest.raises(
-        SystemExit, match=r"-o: expected a file that ends in \.ply, \.glb, \.las, \.laz, or a folder, got .*a\.obj"
+        SystemExit, match=r"-o: expected a file that ends in \.ply, \.glb, \.las, .* or a folder, got .*a\.obj"
     ):
         run("label", tmp_path / "result", path, "-o", tmp_path / "a.obj")
     run("label", tmp_path / "result", path, "-o", tmp_path / "things", "--overwrite")
@@ -269,8 +269,48 @@ def test_a_file_that_was_moved_is_told():
     result = result_of(points, torch.arange(400))
     order = torch.randperm(400)
     assert torch.equal(nearest_labels(result, points[order] + 0.25), order)
-    with pytest.warns(UserWarning, match="farther than 5 m, whose neighbours are 1 m apart; was the file moved"):
-        nearest_labels(result, points + torch.tensor([0.0, 0, 5]))
+    with pytest.warns(UserWarning, match="farther than 2 m, whose neighbours are 1 m apart; was the file moved"):
+        nearest_labels(result, points + torch.tensor([0.0, 0, 2]))
+
+
+def test_a_file_with_nothing_within_reach_is_an_error():
+    points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
+    for away in (5, torch.nan):
+        with pytest.raises(ValueError, match=r"farther than (5|inf) m; is the file of another place"):
+            nearest_labels(result_of(points, torch.arange(400)), points + torch.tensor([0.0, 0, away]))
+
+
+@pytest.mark.parametrize(
+    ("text", "labelled"),
+    [
+        ("x;y;z;n\r\n0,5;0;0;7\r\n1;0;0;\r\n\r\n2;0;0;8\r\n", "x;y;z;n;thing\n0,5;0;0;7;0\n1;0;0;;1\n\n2;0;0;8;2\n"),
+        ("# by hand\n0.5\t0\t0\n1\t0\t0 # edge\nnan\t0\t0\n", "# by hand\n0.5\t0\t0\t0\n1\t0\t0\t1\nnan\t0\t0\t-1\n"),
+        ("2\n1 0 0 5 9 9 9\n2 0 0 5 9 9 9", "2\n1 0 0 5 9 9 9 1\n2 0 0 5 9 9 9 2\n"),
+    ],
+)
+def test_text_has_one_more_column(tmp_path, text, labelled):
+    file, out = tmp_path / "a.csv", tmp_path / "b.csv"
+    file.write_bytes(text.encode())
+    result = result_of(torch.tensor([[0.5, 0, 0], [1, 0, 0], [2, 0, 0]]), torch.arange(3))
+    label_file(file, out, result, name="thing")
+    assert out.read_text() == labelled
+    with pytest.raises(ValueError, match=r"b\.ply: expected \.xyz or .* for a\.csv"):
+        label_file(file, tmp_path / "b.ply", result)
+    if "thing" in labelled:
+        with pytest.raises(ValueError, match="expected no column thing, got one; choose another --name"):
+            label_file(out, file, result, name="thing")
+
+
+def test_the_command_labels_text(run, tmp_path):
+    (tmp_path / "result").mkdir()
+    points = torch.tensor([[0.0, 0, 0], [1, 0, 0]])
+    segmentation = tj.Segmentation(torch.arange(2), ())
+    write_result(tmp_path / "result", tj.Scene(points), segmentation, tj.Config(), "test")
+    (tmp_path / "a.xyz").write_text("1 0 0\n0 0 0\n")
+    run("label", tmp_path / "result", tmp_path / "a.xyz", "-o", tmp_path / "b.txt")
+    assert (tmp_path / "b.txt").read_text() == "1 0 0 1\n0 0 0 0\n"
+    with pytest.raises(SystemExit, match=r"a\.xyz: expected a mesh .* give -o parts\.xyz"):
+        run("label", tmp_path / "result", tmp_path / "a.xyz", "-o", tmp_path / "parts")
 
 
 def test_a_cloud_that_was_mirrored_is_told(scene_of):
@@ -294,7 +334,7 @@ def test_a_file_of_more_than_was_segmented_is_told():
 @pytest.mark.parametrize("suffix", [".glb", ".ply"])
 def test_a_mesh_that_was_moved_is_told_once(tmp_path, suffix):
     points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
-    write_cloud(tmp_path / "a.ply", points + torch.tensor([0.0, 0, 5]), faces=torch.tensor([[0, 1, 20], [1, 20, 21]]))
+    write_cloud(tmp_path / "a.ply", points + torch.tensor([0.0, 0, 2]), faces=torch.tensor([[0, 1, 20], [1, 20, 21]]))
     with pytest.warns(UserWarning, match="was the file moved") as told:
         label_file(tmp_path / "a.ply", tmp_path / f"b{suffix}", result_of(points, torch.arange(400)))
     assert len(told) == 1
@@ -311,7 +351,7 @@ def test_the_property_comes_last_in_any_header(tmp_path):
 
 
 def test_files_that_cannot_be_labelled(tmp_path, run):
-    for name, out in (("a.txt", "b.ply"), ("a.e57", "b.las"), ("", "b.ply"), ("a.bin", "b")):
+    for name, out in (("a.pcd", "b.ply"), ("a.e57", "b.las"), ("", "b.ply"), ("a.bin", "b")):
         write = label_file if "." in out else part_files
         with pytest.raises(ValueError, match=r"expected a file .*\.ply, \.las, \.laz, .* one by one; .* --format las"):
             write(tmp_path / name, tmp_path / out, of_squares())

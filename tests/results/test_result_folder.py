@@ -266,6 +266,7 @@ class TestExports:
     def test_coco(self, export, result):
         coco = pytest.importorskip("pycocotools.coco")
         read = coco.COCO(export("coco"))
+        assert read.cats[1]["name"] == "thing"  # what has no name, as in exports of boxes
         for image_id, labels in enumerate(result.images, 1):
             drawn = torch.full_like(labels, -1)
             for annotation in read.loadAnns(read.getAnnIds(imgIds=image_id)):

@@ -60,6 +60,11 @@ def test_another_cloud_is_segmented_by_the_model(room):
     assert torch.equal(auto.compute(images=False).points, learned.compute(images=False).points)
 
 
+def test_points_that_are_metres_apart_are_told(room):
+    with pytest.warns(UserWarning, match="neighbours are metres apart; are the coordinates in millimetres"):
+        tj.JointSegmenter()(tj.Scene(1000 * room.points))
+
+
 def test_each_reset_decides_anew(street, room):
     segmenter = reset(AUTO, street)
     segmenter.reset(room.points)

@@ -149,6 +149,14 @@ def test_a_buffer_of_few_points_is_told(cloud, tmp_path):
         superpoints_of_files(cloud, tmp_path / "out.laz", tile=4, buffer=0.1, engine="loky:1")
 
 
+def test_many_tiles_are_told(cloud, tmp_path, monkeypatch):
+    monkeypatch.setattr(tiles, "MANY", 3)
+    with pytest.warns(
+        UserWarning, match=r"\d+ tiles for \d+ points, each a file .*: a larger tile, or none, is faster"
+    ):
+        superpoints_of_files(cloud, tmp_path / "out.laz", tile=4, buffer=1, engine="loky:1")
+
+
 def test_files_of_several_coordinate_systems_are_told(cloud, tmp_path):
     (tmp_path / "parts").mkdir()
     for name, code in (("a.las", 25832), ("b.las", 25833), ("c.las", None)):

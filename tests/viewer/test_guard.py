@@ -57,6 +57,15 @@ def opens(viewer, url, **options):
         return error.response.status_code != 403
 
 
+def test_what_is_no_browser_gives_no_traceback(viewer, caplog):
+    for request in (b"", b"GET / HTTP/1.0\r\n\r\n"):
+        with socket.create_connection(("127.0.0.1", viewer.server.get_port()), timeout=10) as client:
+            client.sendall(request)
+            client.shutdown(socket.SHUT_WR)
+            assert client.recv(100) == b""  # then the server has dropped it
+    assert caplog.records == []
+
+
 def test_a_page_that_has_ended_draws_nothing(out):
     from torchjoint.viewer.app import Viewer
 

@@ -7,7 +7,7 @@ import tyro
 
 from torchjoint.cli.arguments import output_file, output_files_in
 from torchjoint.cli.output import at_level
-from torchjoint.datasets.files import las
+from torchjoint.datasets.files import las, text_clouds
 from torchjoint.datasets.files.clouds import SUFFIXES
 from torchjoint.results.folder import load_result, parts_of
 from torchjoint.results.labelled_file import label_file, part_files
@@ -29,22 +29,23 @@ def label(
 
     Args:
         result: folder that `torchjoint segment` wrote.
-        file: a .ply, .las, .laz, .obj, .glb, .gltf, .off or .stl in the frame of RESULT; mostly the file that was
-            segmented. .las and .laz need `pip install 'torchjoint[las]'`, meshes `'torchjoint[mesh]'`.
+        file: a .ply, .las, .laz, .obj, .glb, .gltf, .off, .stl, .csv, .txt, .xyz, .asc or .pts in the frame of RESULT;
+            mostly the file that was segmented. .las and .laz need `pip install 'torchjoint[las]'`, meshes
+            `'torchjoint[mesh]'`.
         out: .ply: FILE with labels of its vertices and triangles; all else in a .ply stays, to the byte. .las, .laz:
-            FILE with the dimensions `label` and `confidence`, or NAME and NAME_confidence; all else stays. .glb: the
-            mesh in the colours of the segments, one node for each. A folder: a .ply for each segment, with all
-            properties of FILE's vertices.
+            FILE with the dimensions `label` and `confidence`, or NAME and NAME_confidence; all else stays. .csv, .txt,
+            .xyz, .asc, .pts: the rows of FILE with one more column. .glb: the mesh in the colours of the segments, one
+            node for each. A folder: a .ply for each segment, with all properties of FILE's vertices.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without joins and splits by hand; not with
             method paper.
-        name: of the property of the labels in a .ply, or of the dimension in a .las.
+        name: of the property of the labels in a .ply, of the dimension in a .las, or of the column in text.
         overwrite: replace OUT; a folder must hold nothing but the .ply files of an earlier run.
     """
     if not is_there(file):
         cloud = min(result.glob("cloud-*mm.ply"), default=result / "points.ply")
         raise FileNotFoundError(f"{file} does not exist; the cloud of this result is {cloud}")
     loaded = at_level(result, load_result(result), granularity)
-    kinds = ".ply", ".glb", *las.SUFFIXES
+    kinds = ".ply", ".glb", *las.SUFFIXES, *text_clouds.SUFFIXES
     is_file = out.suffix.lower() in kinds
     if not is_file and out.suffix.lower() in SUFFIXES and not out.is_dir():
         raise ValueError(f"-o: expected a file that ends in {', '.join(kinds)}, or a folder, got {out}")

@@ -10,7 +10,7 @@ import tyro
 from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, OptionalOut, Parameters
 from torchjoint.cli.output import printed_log, summarize
 from torchjoint.cli.show import live_view, show_result
-from torchjoint.datasets.files import las
+from torchjoint.datasets.files import las, text_clouds
 from torchjoint.engine import open_engine
 from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.recordings.segment import Segmented
@@ -59,7 +59,11 @@ def segment(
         segmented = segmented_and_told(scene, out, parameters, reading.options(), **of_masks, **of_run)
     if segmented is not None:
         show_result(out, view, segmented.segmenter, segmented.scene)
-        file = scene if scene.suffix.lower() in (".ply", *las.SUFFIXES) else next(out.glob("cloud-*mm.ply"), None)
+        file = (
+            scene
+            if scene.suffix.lower() in (".ply", *las.SUFFIXES, *text_clouds.SUFFIXES)
+            else next(out.glob("cloud-*mm.ply"), None)
+        )
         if view is None and file is not None:
             say(f"torchjoint label {out} {file} -o labelled{file.suffix}: its labels in that file")
 

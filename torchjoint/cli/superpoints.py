@@ -11,14 +11,14 @@ from torch import Tensor
 
 from torchjoint.cli.arguments import OptionalOut, output_file
 from torchjoint.config import SuperpointsConfig
-from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.clouds import read_cloud_file, up_of
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.ply import read_records, write_bytes, write_cloud
 from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.results.figures import cloud_figure
 from torchjoint.results.render import label_colors
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.runtime.messages import say
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import kept_points
@@ -87,6 +87,7 @@ def superpoints(
     png = out.with_name(f"{out.name}.png")
     if cloud.is_dir():
         raise ValueError(f"{cloud}: expected a file, or a folder of .las and .laz files; other files one by one")
+    present(cloud, "a point cloud")
     if out.suffix not in (".ply", ".npy", ".npz"):
         more = ", .las, .laz" if is_las(cloud) else ""
         raise ValueError(f"-o: expected a file that ends in .ply{more}, .npy or .npz, got {out}")
@@ -101,7 +102,7 @@ def superpoints(
     kept_points(read.points, str(cloud), "keep" if drop_invalid else "refuse")  # an error names the file
     of_rows = _segmented(read, viewpoint, drop_invalid, config)
     kept, labels = read.chosen(of_rows >= 0), of_rows[of_rows >= 0]
-    scene = Scene(kept.points, colors=kept.colors, normals=kept.normals)
+    scene = Scene(kept.points, colors=kept.colors, normals=kept.normals, up=up_of(cloud))
     with made.written() as path:
         if records is None:
             _write(path, scene, labels, of_rows, kept.faces)

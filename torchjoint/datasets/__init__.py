@@ -81,6 +81,7 @@ def load_scene(
 def load_cloud(path: str | Path, *, drop_invalid: bool = False) -> Cloud:
     """Loads the points of a single file as they are, with its colours, normals and triangles, if it has any.
 
+    Beams without return, many points at (0, 0, 0), are left out, with a warning, but for those of a mesh.
     This is for superpoints of a mesh:
 
     >>> mesh = load_cloud("mesh.ply")  # doctest: +SKIP

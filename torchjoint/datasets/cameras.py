@@ -118,10 +118,8 @@ def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:
     lengths = np.linalg.norm(quaternions.clip(-2, 2), axis=1)  # clipped: squares of invalid numbers may overflow
     wrong = np.flatnonzero(~(np.abs(lengths - 1) <= UNIT_TOLERANCE))
     if len(wrong):
-        raise ValueError(
-            f"{name}: expected unit quaternions, got {len(wrong)} others, such as {quaternions[wrong[0]].tolist()} "
-            "(x y z w)"
-        )
+        told = f"{name}: expected unit quaternions"
+        raise ValueError(f"{told}, got {len(wrong)} others, such as {quaternions[wrong[0]].tolist()} (x y z w)")
     return Rotation.from_quat(quaternions)
 
 

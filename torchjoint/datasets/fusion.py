@@ -145,10 +145,8 @@ def check_unit(frames: Sequence[Frame]) -> None:
         raise ValueError(f"depth: expected metres, got {len(images)} images without a measured pixel")
     median = float(measured.median())
     unit = "millimetres where metres are expected" if median >= MAX_DEPTH else "metres where the format has millimetres"
-    raise ValueError(
-        f"depth: expected metres, mostly {MIN_DEPTH:g} to {MAX_DEPTH:g}, got a median of {median:.4g} in "
-        f"{len(images)} images; these are probably {unit}"
-    )
+    told = f"depth: expected metres, mostly {MIN_DEPTH:g} to {MAX_DEPTH:g}"
+    raise ValueError(f"{told}, got a median of {median:.4g} in {len(images)} images; these are probably {unit}")
 
 
 def volume_origin(frames: Sequence[Frame], voxel_size: float) -> Tensor:

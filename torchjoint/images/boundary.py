@@ -114,10 +114,8 @@ def make_boundary(config: BoundaryConfig, allow_import: bool = False) -> nn.Modu
         scales = MULTI_SCALE if config.multi_scale else (1.0,)
         return StructuredForestBoundary(config.model, scales)
     if not allow_import:
-        raise ValueError(
-            f"boundary.detector: expected gradient or structured_forest, got code, {config.detector}; "
-            "allow_import=True imports it, if you trust it"
-        )
+        told = f"boundary.detector: expected gradient or structured_forest, got code, {config.detector}"
+        raise ValueError(f"{told}; allow_import=True imports it, if you trust it")
     return _make_own(config.detector)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
+import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -39,6 +40,8 @@ from torchjoint.views.observations import Observations
 
 #: Metres: kept depth is rounded to this, less than any sensor's noise.
 DEPTH_STEP = 1e-4
+#: Metres: no depth camera measures so far.
+UNLIKELY = 100.0
 _PACKED = ("image", "boundary", "labels", "taken", "depth")
 
 
@@ -254,6 +257,7 @@ class LiveSegmenter(nn.Module):
 
         Warns:
             PoseWarning: the depth images do not agree at these poses; it comes after some keyframes, or with a result.
+            UserWarning: a frame's depth seems to be in millimetres, though that of others is in metres.
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         for frame in frames:
@@ -263,6 +267,9 @@ class LiveSegmenter(nn.Module):
             if frame.depth is not None:
                 with self.stopwatch("fusion"), self._lock:
                     seen = add_frame(self._volume, frame, self._origin).tolist()
+                if self._views and not seen and float(frame.depth.max()) > UNLIKELY:
+                    told = "a frame's depth is beyond reach, and not fused: in millimetres, after others in metres?"
+                    warnings.warn(f"LiveSegmenter: {told}", stacklevel=2)
             if self._is_keyframe(frame.world_to_camera, seen):
                 self._views.update(seen)
                 self._pose = frame.world_to_camera

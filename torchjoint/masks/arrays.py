@@ -37,10 +37,8 @@ def as_binary(values: Any, name: str) -> Tensor:
     top = 255 if tensor.dtype == torch.uint8 and bool((tensor == 255).any()) else 1
     if not torch.equal(tensor, inside.to(tensor.dtype) * top):
         low, high = float(tensor.min()), float(tensor.max())
-        raise ValueError(
-            f"{name}: expected booleans, or numbers 0 and 1, got {tensor.dtype} from {low:.4g} to {high:.4g}; use "
-            "`> 0` for logits, `> 0.5` for probabilities"
-        )
+        told = f"{name}: expected booleans, or numbers 0 and 1, got {tensor.dtype} from {low:.4g} to {high:.4g}"
+        raise ValueError(f"{told}; use `> 0` for logits, `> 0.5` for probabilities")
     return inside
 
 

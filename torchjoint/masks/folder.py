@@ -29,6 +29,8 @@ from torchjoint.scene.scene import evenly_spaced_indices
 SUFFIXES = (".png", ".npz", ".json")
 #: Scores in a folder of PNGs, as SAM's command line writes them: columns id, predicted_iou, stability_score.
 METADATA = "metadata.csv"
+#: A mask of a larger share of its image is hardly that of a thing.
+WHOLE = 0.9
 
 
 @on_cpu()
@@ -205,10 +207,8 @@ def read_folder(
     if not any(of_frame):
         if len(readers) == 1:
             next(iter(readers.values()))()  # its error may say why: a COCO data set
-        raise ValueError(
-            f"{folder}: no masks (.png, .npz, .json, or folders of .png) have the name of a frame: "
-            f"masks {_listed(sorted(readers))}; frames {_listed(names)}"
-        )
+        told = f"{folder}: no masks (.png, .npz, .json, or folders of .png) have the name of a frame"
+        raise ValueError(f"{told}: masks {_listed(sorted(readers))}; frames {_listed(names)}")
     frames = LazySequence(len(names), lambda index: _with_masks(scene.frames[index], of_frame[index]), names)
     have, lack = ([i for i, one in enumerate(of_frame) if (one is None) == is_none] for is_none in (False, True))
     most = len(names) if max_frames is None else max_frames
@@ -226,16 +226,21 @@ def read_folder(
 
 
 def check_files(folder: Path | str) -> None:
-    """Reads all masks once, to find damaged files before a long run.
+    """Reads all masks once, to find damaged files before a long run; warns of masks of nearly the whole image.
 
     Args:
         folder: as in :func:`read_folder`.
     """
 
-    def check(reader: Callable[[], Masks]) -> None:
-        reader()  # and forget them
+    def count(reader: Callable[[], Masks]) -> int:
+        masks = reader()
+        return int((masks.areas() > WHOLE * masks.atom.numel()).sum())
 
-    parallel_map(check, _readers(Path(folder)).values())
+    if whole := sum(counts := parallel_map(count, _readers(Path(folder)).values())):
+        told = (
+            f"{whole} masks, in {np.count_nonzero(counts)} of {len(counts)} images, cover more than {WHOLE:.0%} of them"
+        )
+        warnings.warn(f"{folder}: {told}; they join what they cover: leave them out", stacklevel=2)
 
 
 def frame_names(frames: Sequence[Frame]) -> list[str]:

@@ -105,10 +105,8 @@ def check_origin(job: Job, name: str, path: Path) -> None:
         if one != two
     ]
     if other:
-        raise ValueError(
-            f"{out}: expected the result of {asked.scene}, got that of {origin.scene}; other {', '.join(other)}; "
-            "choose another folder, or --overwrite"
-        )
+        told = f"{out}: expected the result of {asked.scene}, got that of {origin.scene}"
+        raise ValueError(f"{told}; other {', '.join(other)}; choose another folder, or --overwrite")
 
 
 def report_of(out: Path, memory: float | None = None, told: tuple[str, ...] = ()) -> SceneReport:

@@ -243,10 +243,8 @@ def _write_label_images(folder: Path, result: Segmentation) -> int:
     def write(index: int) -> int:
         labels = result.images[index]
         if (last := int(labels.max())) > MAX_LABEL:
-            raise ValueError(
-                f"image segments: ids up to {last} do not fit 16-bit images (at most {MAX_LABEL}); "
-                "raise image_segments.min_size, or choose a lower granularity"
-            )
+            told = f"image segments: ids up to {last} do not fit 16-bit images (at most {MAX_LABEL})"
+            raise ValueError(f"{told}; raise image_segments.min_size, or choose a lower granularity")
         Image.fromarray((labels + 1).numpy().astype(np.uint16)).save(folder / f"{names[index]}.png", **manifest.PNG)
         return last
 

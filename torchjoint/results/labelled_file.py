@@ -17,10 +17,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files import las, meshes
+from torchjoint.datasets.files import las, meshes, text_clouds
+from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import las_chunks, las_library, laz_backend, open_las
-from torchjoint.datasets.files.ply import PlyRecords, read_ply, read_records, write_bytes, write_cloud
+from torchjoint.datasets.files.ply import PlyRecords, read_records, write_bytes, write_cloud
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import portable_name
@@ -31,7 +32,7 @@ from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import without_return
 
 #: Of columns that are not read; they stay in the file.
-KEPT = ".*: no position, normal or colour by these names"
+KEPT = ".*(: no position, normal or colour by these names|the rest is left out|counts the rows)"
 #: Records that describe how a file stores its points; they do not fit the copy, which stores them in another way.
 _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 
@@ -148,27 +149,34 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
     distance, index = tree.query(points[finite].double().numpy(), workers=-1)
     spacing = np.median(tree.query(tree.data[:: len(own) // 2000 + 1], 2)[0][:, 1])  # 0: most points are copies
     diagonal = float((own.double().amax(0) - own.double().amin(0)).norm())
-    middle = np.median(distance) if len(distance) else 0
+    middle = np.median(distance) if len(distance) else np.inf  # no vertex is finite
     told = f"expected vertices near the result's points, got half of them farther than {middle:.3g} m"
-    if middle > FAR * diagonal:
+    lost = int((distance > (limit := max(AWAY * spacing, ALONE * diagonal))).sum())
+    if middle > FAR * diagonal or lost == len(distance):
         raise ValueError(f"{told}; is the file of another place, or in another frame?")
     away = 1 if len(points) == len(own) else AWAY  # as many: then it is the same cloud, whose points lie on each other
     if 0 < away * spacing < middle:
         warnings.warn(f"{told}, whose neighbours are {spacing:.2g} m apart; was the file moved?", stacklevel=3)
-    elif (lost := int((distance > (limit := max(AWAY * spacing, ALONE * diagonal))).sum())) > LOST * len(distance):
+    elif lost > LOST * len(distance):
         told = f"{lost} of {len(points)} vertices are farther than {limit:.3g} m from the result"
         warnings.warn(f"{told}; they have the label of its nearest point all the same", stacklevel=3)
     return torch.full((len(points),), -1).masked_scatter(finite, torch.from_numpy(index))
 
 
+def _label_text(source: Path, out: Path, result: Result, name: str) -> None:
+    points = _read(source).points
+    with damage_is(str(source)):
+        nearest = nearest_labels(result, points)
+    write_bytes(out, text_clouds.with_column(source, name, nearest.tolist()))
+
+
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
+    las.check_no_copc(out)
     sure = result.point_confidence
     sureness = "confidence" if name == "label" else f"{name}_confidence"  # a file may be labelled more than once
     for one in [name] if sure is None else [name, sureness]:
         check_dimension(source, one, "remove it first, or choose a name: `torchjoint label ... --name NAME`")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", KEPT)
-        points = las.read_las(source).points
+    points = _read(source).points
     with damage_is(str(source)):
         nearest = nearest_points(result, points)
     columns = {name: with_none(result.points)[nearest].int().numpy()}
@@ -185,24 +193,26 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
       have the property if all are triangles.
     * Another mesh as OUT.ply has positions, colours, triangles and labels.
     * OUT.glb is the mesh in the colours of the segments, with a node for each, which has the segment's name.
+    * Text is the same text, with one more column `name`.
     * A .las or .laz as OUT.las or OUT.laz is the same file, with the dimension `name` (int32), and
       `NAME_confidence` (float32; of `label` just `confidence`), if the result has one. Coordinate system, records
       and all other dimensions stay.
 
     Args:
-        source: a .ply, .obj, .glb, .gltf, .off, .stl, .las or .laz file in the frame of the result's cloud.
-        out: a .ply, .glb, .las or .laz file.
+        source: a .ply, .obj, .glb, .gltf, .off, .stl, .las, .laz or text file in the frame of the result's cloud.
+        out: a .ply, .glb, .las, .laz or text file.
         result: the result.
         name: of the property.
     """
-    is_survey = [_is_survey(source), out.suffix.lower() in las.SUFFIXES]
-    if is_survey[0] != is_survey[1]:
-        raise ValueError(f"{out}: expected .las or .laz for {source.name}" if is_survey[0] else
-                         f"{source}: expected .las or .laz for {out.name}")  # fmt: skip
-    if is_survey[0]:
-        las.check_no_copc(out)
-        _label_survey(source, out, result, name)
-        return
+    writers = {las.SUFFIXES: _label_survey, text_clouds.SUFFIXES: _label_text, (".ply", ".glb"): _label_mesh}
+    *others, last = writers
+    kinds = next((one for one in others if _check_kind(source) in one), last)
+    if out.suffix.lower() not in kinds:
+        raise ValueError(f"{out}: expected {' or '.join(kinds)} for {source.name}")
+    writers[kinds](source, out, result, name)
+
+
+def _label_mesh(source: Path, out: Path, result: Result, name: str) -> None:
     mesh = _read(source)
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
@@ -227,8 +237,8 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
         folder: a new folder, for files 000000.ply, or 000000-NAME.ply, by label.
         result: the result.
     """
-    if _is_survey(source):
-        told = f"give -o {folder.name}.laz, or write parts with `torchjoint export RESULT --format ply`"
+    if _check_kind(source) in (*las.SUFFIXES, *text_clouds.SUFFIXES):
+        told = f"give -o {folder.name}{source.suffix}, or write parts with `torchjoint export RESULT --format ply`"
         raise ValueError(f"{source}: expected a mesh or a .ply, for a folder of parts; {told}")
     mesh = _read(source)
     folder.mkdir()
@@ -244,19 +254,19 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
             file.write_bytes(parts.some_vertices(which.numpy(), triangles))
 
 
-def _is_survey(source: Path) -> bool:
-    """Whether a file is a .las or .laz, and no .ply or mesh; an error for all else."""
-    suffix, kinds = source.suffix.lower(), (".ply", *las.SUFFIXES, *meshes.SUFFIXES)
+def _check_kind(source: Path) -> str:
+    """The suffix of a file that can have labels; an error for all else."""
+    suffix, kinds = source.suffix.lower(), (".ply", *las.SUFFIXES, *meshes.SUFFIXES, *text_clouds.SUFFIXES)
     if suffix not in kinds:
         told = "files of a folder one by one; labels of other clouds: `torchjoint export RESULT --format las` or `ply`"
         raise ValueError(f"{source}: expected a file that ends in {', '.join(kinds)}; {told}")
-    return suffix in las.SUFFIXES
+    return suffix
 
 
 def _read(source: Path) -> CloudFile:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", KEPT)
-        return read_ply(source) if source.suffix.lower() == ".ply" else meshes.read_mesh_file(source)
+        return read_cloud_file(source, invalid="keep")
 
 
 def file_stem(segment: int, result: Result) -> str:

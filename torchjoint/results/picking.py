@@ -44,10 +44,8 @@ def pick(result: Segmentation, cloud: Tensor, chosen: Prompts, negative: Prompts
     if not wanted:
         raise ValueError("points, pixels: expected at least one point or pixel, got none")
     if both := wanted & unwanted:
-        raise ValueError(
-            f"negative: expected points apart from the chosen ones, but both are in superpoint {min(both)}, "
-            "the smallest part that the segmentation knows"
-        )
+        told = f"negative: expected points apart from the chosen ones, but both are in superpoint {min(both)}"
+        raise ValueError(f"{told}, the smallest part that the segmentation knows")
     hierarchy = result.hierarchy
     of_point = result.points if hierarchy is None else hierarchy.superpoint
     segments = result.points[torch.isin(of_point, torch.tensor(sorted(wanted)))].unique()

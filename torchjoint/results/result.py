@@ -65,7 +65,11 @@ class Result(Segmentation):
         return cls(**values, scene=scene, config=config)
 
     def at(self, granularity: float = 0.5) -> Self:
-        """As :meth:`torchjoint.Segmentation.at`; a segment has the name, if it is one, that most of its points had."""
+        """As :meth:`torchjoint.Segmentation.at`; a segment has the name, if it is one, that most of its points had.
+
+        Segments are numbered anew, by their first points. At another level, the viewer, and a result that it has saved
+        there, keep the ids of the result on disk, and number other segments after those.
+        """
         found = super().at(granularity)
         if not self.segment_names:
             return found

@@ -113,10 +113,8 @@ def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
     determinant = torch.linalg.det(rotation).item()
     last_row = (pose[3] - torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64, device="cpu")).abs().max().item()
     if error > RIGID_TOLERANCE or abs(determinant - 1) > RIGID_TOLERANCE or last_row > RIGID_TOLERANCE:
-        raise ValueError(
-            f"{name}: expected a rigid transform [R t; 0 1], got R R^T off the identity by {error:.3g}, "
-            f"det R = {determinant:.6g}, last row {pose[3].tolist()}"
-        )
+        told = f"{name}: expected a rigid transform [R t; 0 1], got R R^T off the identity by {error:.3g}"
+        raise ValueError(f"{told}, det R = {determinant:.6g}, last row {pose[3].tolist()}")
     return pose
 
 
@@ -130,10 +128,8 @@ def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Te
     if labels.dtype == torch.bool:
         return torch.where(labels, 0, -1)
     if labels.dtype == torch.uint8 and (values := labels.unique().tolist())[:1] == [0] and len(values) == 2:
-        raise ValueError(
-            f"{name}: got only 0 and {values[1]}, as in the image of a mask; its background would be a segment: pass "
-            "`mask > 0`, or int64 labels (-1 = none)"
-        )
+        told = f"{name}: got only 0 and {values[1]}, as in the image of a mask"
+        raise ValueError(f"{told}; its background would be a segment: pass `mask > 0`, or int64 labels (-1 = none)")
     labels = labels.to(torch.int64)
     if labels.numel() and int(labels.min()) < -1:
         raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {int(labels.min())}")

@@ -223,11 +223,8 @@ class Masks:
         if not self.atom.numel():
             raise ValueError(f"masks: expected at least one pixel, got {own_height} x {own_width}")
         if abs(own_height * width / height - own_width) > max(1, 0.02 * own_width):  # half of 15 pixels may be 7
-            warnings.warn(
-                f"masks: {own_height} x {own_width} pixels for an image of {height} x {width}: other aspect ratio; "
-                "do they show the same view?",
-                stacklevel=2,
-            )
+            told = f"masks: {own_height} x {own_width} pixels for an image of {height} x {width}: other aspect ratio"
+            warnings.warn(f"{told}; do they show the same view?", stacklevel=2)
         row = ((torch.arange(height, dtype=torch.float32, device="cpu") + 0.5) * own_height / height).long()
         column = ((torch.arange(width, dtype=torch.float32, device="cpu") + 0.5) * own_width / width).long()
         members: list[list[int]] = [[] for _ in range(self.num_atoms)]
@@ -271,11 +268,8 @@ def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None
         raise TypeError(f"{name}: expected dtype bool for a stack [M, H, W], got {masks.dtype}; use `stack > 0.5`?")
     masks = as_labels(masks, tuple(masks.shape), name)
     if masks.numel() and int(masks.min()) == 0:
-        warnings.warn(
-            f"{name}: 0 counts as a mask, and no pixel is -1 (none); if 0 means none, use "
-            "torchjoint.masks.from_labels(labels, none=0)",
-            stacklevel=4,
-        )
+        told = f"{name}: 0 counts as a mask, and no pixel is -1 (none)"
+        warnings.warn(f"{told}; if 0 means none, use torchjoint.masks.from_labels(labels, none=0)", stacklevel=4)
     return Masks.from_labels(masks, scores, name=name).resized(size)
 
 

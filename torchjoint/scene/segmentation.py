@@ -182,8 +182,6 @@ class Segmentation:
         if torch.equal(of_segment[self.points], points):  # not finer: each segment lies inside one new segment
             return level_images(self.images, num_before, of_segment[:-1], num_after)
         if len(self.superpoint_images) != len(self.images):
-            raise ValueError(
-                f"superpoint_images: expected one for each of {len(self.images)} images (finer levels need them), got "
-                f"{len(self.superpoint_images)}"
-            )
+            told = f"superpoint_images: expected one for each of {len(self.images)} images (finer levels need them)"
+            raise ValueError(f"{told}, got {len(self.superpoint_images)}")
         return level_images(self.images, num_before, of_superpoint, num_after, self.superpoint_images)

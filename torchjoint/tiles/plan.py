@@ -165,11 +165,8 @@ def _count(files: Sequence[Path], grid: Survey) -> tuple[Survey, npt.NDArray[np.
         largest[path] = max(largest[path], 0 if rgb is None else int(rgb.max()))
     bare = [path for path, value in largest.items() if not value]
     if 0 < len(bare) < len(files):
-        warnings.warn(
-            f"{len(bare)} of {len(files)} files have no colours, so those of the others are not read: {bare[0]}"
-            f"{', ...' if len(bare) > 1 else ''}",
-            stacklevel=4,
-        )
+        told = f"{len(bare)} of {len(files)} files have no colours, so those of the others are not read"
+        warnings.warn(f"{told}: {bare[0]}{', ...' if len(bare) > 1 else ''}", stacklevel=4)
     whites = None if bare else tuple(int(full_brightness(value, 65535)) for value in largest.values())
     return grid._replace(num_points=num_points, counts=counts.reshape(grid.counts.shape), whites=whites), low, high
 

@@ -38,6 +38,8 @@ Labels = npt.NDArray[np.unsignedinteger]
 DIMENSION = "superpoint"
 #: Most points of a tile with its buffer: segmenting them takes about 0.7 GB.
 MOST_POINTS = 2_000_000
+#: So many tiles of a given size are told.
+MANY = 1000
 #: The name of the engine that starts no worker.
 HERE = "loky:1"
 #: The default buffer, in typical distances of neighbouring points.
@@ -214,6 +216,9 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
         if len(plan.tiles) > 1 and width < (least := 5 * found.spacing()):
             told = f"a buffer of {width:.3g} m is little; below {least:.3g} m the edges of tiles show"
             warnings.warn(f"{told}: give a larger {'tile' if buffer is None else 'buffer'}", stacklevel=3)
+        if tile is not None and len(plan.tiles) > MANY:
+            told = f"{len(plan.tiles)} tiles for {found.num_points} points, each a file and a task of its own"
+            warnings.warn(f"{told}: a larger tile, or none, is faster", stacklevel=3)
         _check_disk(work, found.num_points, found.whites is not None)
         with tqdm(total=found.num_points, desc="cut", unit="points", unit_scale=True, disable=hidden) as bar:
             checksums = split_points(files, found, plan, folder, bar.update)

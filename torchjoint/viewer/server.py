@@ -1,6 +1,7 @@
 """The server of the viewer's page. It answers only those who know its address, which has a random part."""
 
 import io
+import logging
 import secrets
 import socket
 from contextlib import redirect_stdout
@@ -23,6 +24,9 @@ from torchjoint.viewer.model import Bytes
 
 #: Largest number of cameras that are drawn; more would hide the cloud.
 MAX_CAMERAS = 60
+#: Of the server. Programs that look for open ports, and speak no HTTP 1.1, are no error of it.
+_LOGGER = logging.getLogger("websockets.server.torchjoint")
+_LOGGER.addFilter(lambda record: record.msg != "opening handshake failed")
 
 
 class Viewpoint(NamedTuple):
@@ -191,7 +195,7 @@ def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int
 
     def guarded(*arguments: Any, process_request: Any, **options: Any) -> Any:
         guards.append(_guard(process_request, token, host))
-        return serve(*arguments, process_request=guards[-1], **options)
+        return serve(*arguments, process_request=guards[-1], logger=_LOGGER, **options)
 
     # Viser has no argument for it, and prints an address without the random part.
     with patch.object(sockets, "serve", guarded), redirect_stdout(io.StringIO()):

@@ -137,6 +137,8 @@ def test_packed_colours_of_any_type(kind):
 def test_what_is_unknown_is_told_and_what_is_known_is_not():
     with pytest.warns(UserWarning, match=r"^a\.ply: red, foo, nx: no position, normal or colour by these names; not u"):
         cloud_of(PLACES | dict.fromkeys(["red", "foo", "nx"], XYZ[:, 0]), "a.ply")
+    with pytest.warns(UserWarning, match=r"f6, f7, f8 and 2 more: no position"):
+        cloud_of(PLACES | {f"f{number}": XYZ[:, 0] for number in range(1, 11)}, "a.ply")
     known = ("Intensity", "label", "scale_0", "rot_3", "f_rest_44", "alpha", "scalar_Classification", "ring",
              "timestamp", "gps_time", "curvature", "_3", "quality", "scalar_Original_cloud_index")  # fmt: skip
     with warnings.catch_warnings():

@@ -117,7 +117,7 @@ def tell_not_read(columns: Iterable[str], name: str) -> None:
     """Warns of columns that are not read, but for those of which no one expects it."""
     left = [column for column in columns if not NOT_READ.fullmatch(plain(column))]
     if left:
-        some = ", ".join(left[:8]) + (", ..." if len(left) > 8 else "")
+        some = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
         what = "kept by `label`, without effect" if name.lower().endswith((".las", ".laz")) else "not used"
         told = f"{name}: {some}: no position, normal or colour by these names; {what} (docs/your_data.md)"
         warnings.warn(told, stacklevel=5)

@@ -224,10 +224,8 @@ def check_header(path: Path) -> LasHeader:
             bounds.check_unpacked(header.num_points * header.record_size, size)
             _check_chunks(file, header)
         elif header.num_points * header.record_size > size - header.points_at:
-            raise ValueError(
-                f"truncated: {header.num_points} points take {header.num_points * header.record_size} bytes, got "
-                f"{size - header.points_at}"
-            )
+            told = f"truncated: {header.num_points} points take {header.num_points * header.record_size} bytes"
+            raise ValueError(f"{told}, got {size - header.points_at}")
         elif (rest := end - header.points_at - header.num_points * header.record_size) >= header.record_size:
             told = f"{path}: {rest} bytes behind the {header.num_points} points of its header are not read"
             warnings.warn(told, stacklevel=3)

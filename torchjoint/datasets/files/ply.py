@@ -335,10 +335,8 @@ def _rows_of_several_lengths(data: bytes, place: int, element: Element, order: s
 
 def _check_rest(data: bytes, place: int, size: int, element: Element) -> None:
     if size > len(data) - place:
-        raise ValueError(
-            f"truncated: {element.rows} of element {element.name} need {size} bytes at byte {place}, "
-            f"got {max(0, len(data) - place)}"
-        )
+        told = f"truncated: {element.rows} of element {element.name} need {size} bytes at byte {place}"
+        raise ValueError(f"{told}, got {max(0, len(data) - place)}")
 
 
 def _ascii_elements(data: bytes, header: Header) -> dict[str, Columns]:

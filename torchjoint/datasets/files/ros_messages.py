@@ -82,10 +82,8 @@ def _pixels(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> npt
     height, width, step = int(message.height), int(message.width), int(message.step)
     used = width * channels * dtype.itemsize
     if not 0 < used <= step or height < 1 or len(message.data) < height * step:
-        raise ValueError(
-            f"{name}: expected {height} rows of {width} pixels, each {channels * dtype.itemsize} bytes, got "
-            f"{len(message.data)} bytes in rows of {step}"
-        )
+        told = f"{name}: expected {height} rows of {width} pixels, each {channels * dtype.itemsize} bytes"
+        raise ValueError(f"{told}, got {len(message.data)} bytes in rows of {step}")
     rows = np.ascontiguousarray(message.data[: height * step].reshape(height, step)[:, :used])
     order = dtype.newbyteorder(">" if message.is_bigendian else "<")
     return rows.view(order).astype(dtype).reshape(height, width, channels)
@@ -142,10 +140,8 @@ def cloud_points(message: Any, name: str) -> tuple[CloudFile, int]:
     size = row_step * height
     floats = {plain(field.name) for field in message.fields if field.datatype in (7, 8)}
     if not floats.issuperset(POINTS[0]) or row_step < step * width or len(message.data) < size:
-        raise ValueError(
-            f"{name}: expected fields x, y, z and {height * width} points of {step} bytes, got fields "
-            f"{', '.join(fields)} and {len(message.data)} bytes"
-        )
+        told = f"{name}: expected fields x, y, z and {height * width} points of {step} bytes"
+        raise ValueError(f"{told}, got fields {', '.join(fields)} and {len(message.data)} bytes")
     rows = message.data[:size].reshape(height, row_step)[:, : step * width].reshape(height * width, step)
     order = ">" if message.is_bigendian else "<"
     columns = {}
@@ -201,10 +197,8 @@ class Poses:
         poses: list[Tensor | None] = [torch.eye(4, dtype=torch.float64) for _ in times]
         for one in self._chain(frame):
             if len(several := self._all_parents[one]) > 1:
-                raise ValueError(
-                    f"{self.bag.path}: expected one parent of frame {one!r} in tf, got {', '.join(sorted(several))}; "
-                    "--topics odometry=TOPIC takes other poses"
-                )
+                told = f"{self.bag.path}: expected one parent of frame {one!r} in tf, got {', '.join(sorted(several))}"
+                raise ValueError(f"{told}; --topics odometry=TOPIC takes other poses")
             rows = np.array([self._rows[one][time] for time in sorted(self._rows[one])])
             limit = np.inf if self._fixed[one] else self.limit
             step = interpolate_poses(rows, wanted, limit, f"{self.bag.path}: transform of {one}")

@@ -8,6 +8,7 @@ warning tells what is left out.
 import io
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,24 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         return cloud_of_rows(rows, is_pts=count is not None or path.suffix.lower() == ".pts")
 
 
+def with_column(path: Path, name: str, values: Sequence[int]) -> bytes:
+    """The text of a cloud with one more column, `name` in the line of names; its rows have no comments then."""
+    with damage_is(str(path)):
+        data = _as_utf8(read_file(path, "a point cloud as text"))
+    start, _, names, _ = _preamble(data, str(path))
+    head, rows, left = data[:start].splitlines(), data[start:].splitlines(), iter(values)
+    mark = next((mark for mark in (b";", b",", b"\t") if mark in rows[0]), b" ")
+    for place, row in enumerate(rows):
+        if numbers := re.split(rb"#|//", row)[0].rstrip():
+            rows[place] = numbers + mark + str(next(left)).encode()
+    if names is not None:
+        if name in names:
+            raise ValueError(f"{path}: expected no column {name}, got one; choose another --name")
+        titles = max(place for place, line in enumerate(head) if all(one.encode() in line for one in names))
+        head[titles] += (mark if mark in head[titles] else b" ") + name.encode()
+    return b"\n".join([*head, *rows, b""])
+
+
 def _as_utf8(data: bytes) -> bytes:
     """Text without the mark of its encoding and without quotes, with line ends of Unix."""
     if b";" not in data and re.search(rb'"[-+]?\d[-+.\de]*,[^"\n]*"', data):
@@ -85,10 +104,8 @@ def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int |
             if {plain(word) for word in words}.issuperset(POINTS[0]):
                 names = words
             elif not is_comment:
-                raise ValueError(
-                    f"{name}: line {number}: expected numbers, or names of columns with x, y and z, got {line[:80]!r}; "
-                    "remove the line, or begin it with #"
-                )
+                told = f"{name}: line {number}: expected numbers, or names of columns with x, y and z"
+                raise ValueError(f"{told}, got {line[:80]!r}; remove the line, or begin it with #")
         elif len(words) == 1 and words[0].isdigit() and count is None:
             count = int(words[0])
         elif words:
@@ -121,10 +138,8 @@ def _numbers(text: bytes, first: int, path: Path) -> Array:
             if not one.strip() or one.startswith((b"#", b"//")):
                 continue
             if len(words) != columns or not all(_is_number(word.decode("latin1")) for word in words):
-                raise ValueError(
-                    f"{path}: not a whole {path.suffix} cloud: line {number}: expected {columns} numbers, got "
-                    f"{_shown(one)}; correct the line, or remove it"
-                ) from error
+                told = f"{path}: not a whole {path.suffix} cloud: line {number}: expected {columns} numbers"
+                raise ValueError(f"{told}, got {_shown(one)}; correct the line, or remove it") from error
         raise ValueError(f"{path}: not a whole {path.suffix} cloud: {error}") from error
 
 
@@ -174,11 +189,8 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
             break
     if rows.shape[1] > len(names):
         what = ", ".join(found[:-1]) + f" and {found[-1]}" if len(found) > 1 else found[0]
-        warnings.warn(
-            f"of {rows.shape[1]} columns, the first {len(names)} are read, {what}; the rest is left out; --columns "
-            "xyz... names others",
-            stacklevel=3,
-        )
+        told = f"of {rows.shape[1]} columns, the first {len(names)} are read, {what}"
+        warnings.warn(f"{told}; the rest is left out; --columns xyz... names others", stacklevel=3)
     return cloud_of(dict(zip(names, rows.T, strict=False)), "rows")
 
 

@@ -87,10 +87,8 @@ def points_on(points: Tensor, faces: Tensor, colors: Tensor | None, name: str) -
     Returns:
         points [SAMPLES, 3] float64 and the vertices of no triangle, and their colours.
     """
-    warnings.warn(
-        f"{name}: the triangles are large, so {SAMPLES} points are drawn on them; `torchjoint label` labels the mesh",
-        stacklevel=3,
-    )
+    told = f"{name}: the triangles are large, so {SAMPLES} points are drawn on them"
+    warnings.warn(f"{told}; `torchjoint label` labels the mesh", stacklevel=3)
     random = torch.Generator().manual_seed(0)
     total = _areas(points[faces].double()).cumsum(0)
     drawn = torch.rand(SAMPLES, generator=random, dtype=torch.float64) * total[-1]

@@ -85,11 +85,8 @@ def _largest(path: Path, models: Sequence[Path]) -> Path:
     counts = [len(read_images(model)) for model in models]
     best = counts.index(max(counts))
     parts = ", ".join(f"sparse/{model.name} has {count}" for model, count in zip(models, counts, strict=True))
-    warnings.warn(
-        f"{path}: {len(models)} models, of parts that COLMAP did not join: sparse/{models[best].name} is read; images: "
-        f"{parts}; give the folder of another model to read it",
-        stacklevel=4,
-    )
+    told = f"{path}: {len(models)} models, of parts that COLMAP did not join: sparse/{models[best].name} is read"
+    warnings.warn(f"{told}; images: {parts}; give the folder of another model to read it", stacklevel=4)
     return models[best]
 
 
@@ -189,10 +186,8 @@ def _camera(model: str, width: int, height: int, parameters: Sequence[float], na
 
 def _check_model(model: str, name: str) -> tuple[int, int]:
     if model not in _PARAMETERS:
-        raise ValueError(
-            f"{name}: expected a camera model of {', '.join(_PARAMETERS)}, got {model[:40]}; "
-            "`colmap image_undistorter` makes undistorted images and a model of PINHOLE cameras"
-        )
+        told = f"{name}: expected a camera model of {', '.join(_PARAMETERS)}, got {model[:40]}"
+        raise ValueError(f"{told}; `colmap image_undistorter` makes undistorted images and a model of PINHOLE cameras")
     return _PARAMETERS[model]
 
 

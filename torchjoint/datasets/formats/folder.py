@@ -18,7 +18,7 @@ from torchjoint.datasets import recording
 from torchjoint.datasets.cameras import Camera, world_to_camera
 from torchjoint.datasets.files.readers import read_array, read_matrix
 from torchjoint.datasets.truth import label_images
-from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, present
+from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_labels
 
@@ -40,12 +40,16 @@ def load(path: Path, options: recording.Options) -> Scene:
 
 def read_frames(path: Path) -> recording.Frames:
     """Returns the frames of a folder; each frame is read on access."""
-    colors = recording.sorted_images(path, _color_files(path))
-    stems = [file.name.split(".")[0] for file in colors]
-    no_twice(stems, f"{path}: the colour image of frame")
-    recording.tell_lost(str(path), (file.name.split(".")[0] for file in path.glob("frame-*.pose.txt")), stems)
-    pose_files = [present(_beside(file, ".pose.txt"), "the pose of a colour frame") for file in colors]
+    found = [_stem(file) for file in recording.sorted_images(path, _color_files(path))]
+    no_twice(found, f"{path}: the colour image of frame")
+    recording.tell_lost(str(path), map(_stem, path.glob("frame-*.pose.txt")), found)
+    if not (colors := _posed(path)):
+        raise FileNotFoundError(f"{path}: none of {len(found)} colour images has a pose, a file NAME.pose.txt")
+    stems = [*map(_stem, colors)]
+    lost = [stem for stem in found if stem not in set(stems)]
+    recording.tell_left_out(f"{path}: {', '.join(lost[:9])}", len(lost), len(found))
     # Reads all poses at once: a bad pose must be found before hours of work, not after.
+    pose_files = [_beside(file, ".pose.txt") for file in colors]
     poses = [world_to_camera(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
     file = path / "camera-intrinsics.txt"
     camera = Camera(read_matrix(file, (3, 3)), name=str(file))
@@ -62,7 +66,7 @@ def read_frames(path: Path) -> recording.Frames:
 
 
 def _truth(path: Path, num_points: int) -> Truth | None:
-    colors = recording.sorted_images(path, _color_files(path))
+    colors = _posed(path)
     of_points = path / "cloud.truth.npy"
     images = label_images([_beside(file, ".truth.png") for file in colors], "truth", colors)
     points = as_labels(read_array(of_points), (num_points,), str(of_points)) if has_file(of_points) else None
@@ -73,5 +77,14 @@ def _color_files(path: Path) -> list[Path]:
     return [file for file in path.iterdir() if file.name.startswith("frame-") and file.name.endswith(_COLOR)]
 
 
+def _posed(path: Path) -> list[Path]:
+    colors = recording.sorted_images(path, _color_files(path))
+    return [file for file in colors if has_file(_beside(file, ".pose.txt"))]
+
+
+def _stem(file: Path) -> str:
+    return file.name.split(".")[0]
+
+
 def _beside(color_file: Path, suffix: str) -> Path:
-    return color_file.with_name(color_file.name.split(".")[0] + suffix)
+    return color_file.with_name(_stem(color_file) + suffix)

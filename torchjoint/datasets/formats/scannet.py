@@ -325,10 +325,8 @@ class SensFile:
         self.color_size, self.depth_size = (ch, cw), (dh, dw)
         self._depth_codec, self._depth_shift = depth_codec, shift
         if color_codec not in (_PNG, _JPEG) or depth_codec not in (_RAW, _ZLIB):
-            raise ValueError(
-                f"{self.path}: expected colour as PNG or JPEG (1, 2) and depth raw or by zlib (0, 1), got codecs "
-                f"{color_codec} and {depth_codec}"
-            )
+            told = f"{self.path}: expected colour as PNG or JPEG (1, 2) and depth raw or by zlib (0, 1)"
+            raise ValueError(f"{told}, got codecs {color_codec} and {depth_codec}")
         if not all(0 < h * w <= bounds.PIXELS for h, w in (self.color_size, self.depth_size)):
             raise ValueError(f"{self.path}: impossible image sizes {cw} x {ch}, {dw} x {dh}")
         if not (math.isfinite(shift) and shift > 0):

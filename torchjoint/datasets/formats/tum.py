@@ -107,9 +107,7 @@ def _camera(path: Path) -> Camera:
         return Camera(read_matrix(file, (3, 3)), name=str(file))
     known = re.findall(r"(?<![a-z0-9])(?:freiburg|fr)([123])(?![0-9])", str(path.absolute()))
     if not known:
-        raise ValueError(
-            f"{path}: expected camera-intrinsics.txt with fx 0 cx, 0 fy cy, 0 0 1 in pixels of its images, or a name "
-            "of the TUM benchmark (freiburg1, 2, 3), found neither"
-        )
+        told = f"{path}: expected camera-intrinsics.txt with fx 0 cx, 0 fy cy, 0 0 1 in pixels of its images"
+        raise ValueError(f"{told}, or a name of the TUM benchmark (freiburg1, 2, 3), found neither")
     fx, fy, cx, cy, distortion = _CALIBRATIONS[known[-1]]
     return Camera(pinhole_matrix(fx, fy, cx, cy), (480, 640), distortion, name=f"calibration of {path.name}")

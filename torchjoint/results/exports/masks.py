@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchjoint.results.boxes import UNNAMED
 from torchjoint.results.objects import image_views
 from torchjoint.results.result import Result
 from torchjoint.runtime.archives import write_archive
@@ -72,12 +73,12 @@ def export_coco(path: Path, result: Result) -> None:
     """Writes one JSON file; an annotation's `segment_id` is the label, the same in all images and in the cloud.
 
     `in_cloud` is False for a segment of an image that has no points. The category is the name of the segment, else
-    "object". `score` is the confidence in the segment, where the result has one.
+    "thing". `score` is the confidence in the segment, where the result has one.
     """
     if not len(result.images):
         raise ValueError("--format coco: expected a result with images, got none")
     count, files, names = result.num_point_segments, frame_files(result.names), result.segment_names
-    categories = ["object", *sorted({name for name in names.values() if name} - {"object"})]
+    categories = [UNNAMED, *sorted({name for name in names.values() if name} - {UNNAMED})]
     scores = [] if result.confidence is None else result.confidence.tolist()
     of_images = parallel_map(lambda index: list(masks_of(result.images[index])), range(len(result.images)))
     images: list[dict[str, Any]] = []
@@ -90,7 +91,7 @@ def export_coco(path: Path, result: Result) -> None:
                 mask.record(len(annotations) + 1)
                 | {
                     "image_id": index + 1,
-                    "category_id": 1 + categories.index(names.get(mask.segment) or "object"),
+                    "category_id": 1 + categories.index(names.get(mask.segment) or UNNAMED),
                     "iscrowd": 0,
                     "segment_id": mask.segment,
                     **({"segment_name": names[mask.segment]} if names.get(mask.segment) else {}),
@@ -104,7 +105,7 @@ def export_coco(path: Path, result: Result) -> None:
         "images": images,
         "annotations": annotations,
         "categories": [
-            {"id": number, "name": name, "supercategory": "object"} for number, name in enumerate(categories, 1)
+            {"id": number, "name": name, "supercategory": UNNAMED} for number, name in enumerate(categories, 1)
         ],
     }
     write_text(path, json.dumps(record))

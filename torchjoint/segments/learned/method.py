@@ -3,6 +3,8 @@
 It measures distances in units of the cloud's noise and spacing.
 """
 
+import warnings
+
 from torchjoint.cloud.graph import PointGraph, build_point_graph
 from torchjoint.cloud.local import LocalFrame, local_cloud
 from torchjoint.cloud.scales import working_cloud
@@ -18,6 +20,8 @@ from torchjoint.views.evidence import Evidence
 
 #: Largest distance of a grey point from the axis of greys, units of Lab: of rounded colours.
 GREY = 1.0
+#: Metres: no scanner's points are so far apart.
+FAR_APART = 3.0
 
 
 def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
@@ -30,6 +34,9 @@ def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
     frame = LocalFrame.of(cloud.points)
     local, of_cloud = local_cloud(cloud, frame, merge_within)
     working, scales, of_local = working_cloud(local)
+    if float(scales.spacing.median()) > FAR_APART:
+        told = "points: neighbours are metres apart; are the coordinates in millimetres? They are taken as metres"
+        warnings.warn(told, stacklevel=4)
     graph = build_point_graph(working, config.point_graph.neighbors, scales)
     return graph.of(frame, of_cloud if of_local is None else of_local[of_cloud])
 
