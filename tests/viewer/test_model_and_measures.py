@@ -508,6 +508,20 @@ def test_light_shows_walls_and_floor_and_edges_are_dark():
     assert not changed[:, (u - 0.5).abs().numpy() > 0.1].any()
 
 
+def test_another_thread_asks_while_edges_are_found(monkeypatch):
+    shading, where, found = Shading(torch.rand(200, 3), UP), np.where, []
+    labels = np.arange(200) % 2
+
+    def asks_meanwhile(*arguments):
+        if not found:
+            found.append(None)
+            found[0] = shading.of(labels)
+        return where(*arguments)
+
+    monkeypatch.setattr(np, "where", asks_meanwhile)
+    np.testing.assert_array_equal(shading.of(labels), found[0])
+
+
 def test_only_labels_are_shaded(model):
     flat = point_colors(model).astype(float)
     model.shading = Shading(model.result.scene.points, UP)

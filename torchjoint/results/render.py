@@ -52,8 +52,7 @@ def label_colors(labels: Tensor, num_point_segments: int | None = None) -> Tenso
     value = 0.6 + 0.4 * np.mod(ids * 0.5698402909980532, 1.0)
     if num_point_segments is not None:
         pale = labels.numpy() >= num_point_segments
-        saturation = np.where(pale, 0.15, saturation)
-        value = np.where(pale, 0.35 + 0.3 * value, value)
+        saturation, value = np.where(pale, 0.15, saturation), np.where(pale, 0.35 + 0.3 * value, value)
     colors = torch.from_numpy(hsv_to_rgb(np.stack([hue, saturation, value], axis=-1))).float()
     return torch.where(labels[..., None] < 0, NONE_COLOR, colors)
 
@@ -113,11 +112,12 @@ class Shading:
         near = indices.numpy()
         lit = sum((lit[column] for column in near.T), lit) / (1 + near.shape[1])  # else noise would be speckles
         self.light = (GRAZED + (1 - GRAZED) * lit).astype(np.float32)
-        self._near, self._labels = near[:, :EDGE], np.empty(0, dtype=np.int64)
+        self._near, self._known = near[:, :EDGE], (np.empty(0, dtype=np.int64), self.light)
 
     def of(self, labels: Table) -> npt.NDArray[np.float32]:
         """[N] the brightness of each point, 0 to 1; `labels`: [N], edges are where they change."""
-        if not np.array_equal(labels, self._labels):  # a click does not change them
-            self._labels, is_edge = labels, (labels[self._near] != labels[:, None]).any(1)
-            self._shades = np.where(is_edge, DARK * self.light, self.light)
-        return self._shades
+        known, shades = self._known  # at once: threads share them
+        if not np.array_equal(labels, known):  # a click does not change them
+            shades = np.where((labels[self._near] != labels[:, None]).any(1), DARK * self.light, self.light)
+            self._known = labels, shades
+        return shades
