@@ -16,6 +16,7 @@ from torchjoint.datasets.files.las import LasPoints
 from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.foreign_files import read_file
 from torchjoint.tiles.plan import Plan, Survey, read_points
 
 Array = npt.NDArray[Any]
@@ -149,7 +150,7 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
     if task.labels.is_file():
         task.points.unlink(missing_ok=True)
         return
-    data = task.points.read_bytes() if task.points.is_file() else b""
+    data = read_file(task.points, "points of a tile") if task.points.is_file() else b""
     if zlib.crc32(data) != task.checksum:
         raise ValueError(f"{task.points}: damaged or lost; remove {task.points.parents[1]} and start again")
     records = np.frombuffer(data, point_type(white is not None))
