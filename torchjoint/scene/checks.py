@@ -19,6 +19,9 @@ Beams = Literal["keep", "drop many", "drop any"]
 #: Poses in text files have 7 digits. Poses that were averaged or interpolated wrongly have much larger differences.
 RIGID_TOLERANCE = 1e-3
 
+#: Larger skew, in focal lengths, is an error: none is applied.
+MOST_SKEW = 2e-3
+
 #: Fewer points at (0, 0, 0) than this are no beams without return, unless the points are known to be a scan.
 BEAMS = 10
 
@@ -187,17 +190,16 @@ def as_direction(value: Tensor, name: str) -> Tensor:
 
 
 def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
-    """Checks a camera matrix [3, 3] of any real numbers, in pixels; returns it as float64."""
+    """Checks a camera matrix [3, 3] of any real numbers, in pixels; returns it as float64. Skew would be ignored."""
     if isinstance(intrinsics, Tensor) and not (intrinsics.is_floating_point() or intrinsics.is_complex()):
         intrinsics = intrinsics.double()
     intrinsics = as_float(intrinsics, name, torch.float64).clone()
     check_shape(intrinsics, (3, 3), name)
     zeros = intrinsics[[1, 2, 2], [0, 0, 1]]
     check_largest(intrinsics, name)
-    if intrinsics.diag()[:2].min() <= 0 or zeros.abs().max() > 1e-9 or (intrinsics[2, 2] - 1).abs() > 1e-9:
-        raise ValueError(
-            f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, got {intrinsics.tolist()}"
-        )
+    is_skewed = intrinsics[0, 1].abs() > MOST_SKEW * intrinsics[0, 0]
+    if intrinsics.diag()[:2].min() <= 0 or zeros.abs().max() > 1e-9 or (intrinsics[2, 2] - 1).abs() > 1e-9 or is_skewed:
+        raise ValueError(f"{name}: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], f > 0, got {intrinsics.tolist()}")
     return intrinsics
 
 
