@@ -68,6 +68,12 @@ def test_arrays_of_another_byte_order():
     assert torch.equal(frame.intrinsics, K.double())
 
 
+def test_an_image_divided_by_255_twice_is_told():
+    """It is black, so that the cloud alone decided, in silence."""
+    with pytest.warns(UserWarning, match=r"^image of frame 'f': got values up to 0\.0039 of 1; were they divided"):
+        Frame(torch.linspace(0, 1 / 255, 64).view(8, 8), torch.eye(3), torch.eye(4), name="f")
+
+
 def test_intrinsics_may_be_integers():
     matrix = np.array([[50, 0, 32], [0, 50, 24], [0, 0, 1]])
     assert Frame(IMAGE, matrix, POSE).intrinsics.tolist() == matrix.tolist()

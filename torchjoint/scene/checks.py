@@ -133,10 +133,8 @@ def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Te
     if labels.dtype == torch.bool:
         return torch.where(labels, 0, -1)
     if labels.dtype == torch.uint8 and (values := labels.unique().tolist())[:1] == [0] and len(values) == 2:
-        raise ValueError(
-            f"{name}: got only 0 and {values[1]}, as in the image of a mask; its background would be a segment: pass "
-            "`mask > 0`, or int64 labels (-1 = none)"
-        )
+        told = f"got only 0 and {values[1]}, as in the image of a mask; its background would be a segment"
+        raise ValueError(f"{name}: {told}: pass `mask > 0`, or int64 labels (-1 = none)")
     labels = labels.to(torch.int64)
     if labels.numel() and int(labels.min()) < -1:
         raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {int(labels.min())}")
@@ -177,6 +175,8 @@ def as_unit_range(value: Tensor, name: str) -> Tensor:
     low, high = (value.min().item(), value.max().item()) if value.numel() else (0.0, 0.0)
     if low < -1e-4 or high > 1 + 1e-4:
         raise ValueError(f"{name}: expected values in [0, 1] (or uint8), got [{low:.4g}, {high:.4g}]")
+    if 0 < high < 1.01 / 255:
+        warnings.warn(f"{name}: got values up to {high:.2g} of 1; were they divided by 255 twice?", stacklevel=5)
     return value.clamp(0, 1)
 
 
