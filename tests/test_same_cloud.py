@@ -211,10 +211,23 @@ class TestOrigin:
 
     def test_float32_that_was_rounded_is_told(self, scene):
         far = (scene.points.double() + 1e6).float()  # 6 cm
-        with pytest.warns(UserWarning, match=r"points: float32 keeps only 0\.12 m this far from the origin"):
+        with pytest.warns(UserWarning, match=r"points: coordinates keep only 0\.12 m, but neighbours are"):
             tj.JointSegmenter().reset(far)
         with pytest.warns(UserWarning, match="pass float64"):
             tj.superpoints(far)
+
+    @pytest.mark.parametrize("offset", [0.0, 4e6])
+    def test_what_was_rounded_before_is_told(self, scene, offset):
+        """Float64 of numbers that had been float32, far from the origin, was segmented in silence."""
+        rounded = (scene.points.double() / 0.1).round() * 0.1 + offset
+        with pytest.warns(UserWarning, match=r"points: coordinates keep only 0\.1 m, but neighbours are 0\.1"):
+            tj.JointSegmenter().reset(rounded)
+        with pytest.warns(UserWarning, match="coordinates keep only"):
+            tj.superpoints(rounded)
+
+    def test_copies_are_no_rounding(self, scene, recwarn):
+        tj.superpoints(scene.points.repeat(3, 1))
+        assert not recwarn.list
 
     def test_the_frame_moves_with_the_cloud(self):
         points = torch.rand(1001, 3, generator=torch.Generator().manual_seed(0))

@@ -197,6 +197,16 @@ class TestPackedPoints:
         with pytest.raises(ValueError, match=r"cloud\.e57: not a whole E57 file: expected XML in UTF-8 without a"):
             tj.load_scene(path)
 
+    @pytest.mark.parametrize("number", [b"NaN", b"-INF", b"five"])
+    def test_poses_of_e57_that_are_no_numbers(self, number, tmp_path):
+        """The library reads them as 0: the scan came to lie elsewhere."""
+        path = samples.write("cloud_alone_e57", tmp_path / "sample")
+        given = re.search(rb'<x type="Float">5</x>\s*', path.read_bytes())
+        changed = (b'<x type="Float">' + number + b"</x>").ljust(len(given[0]))
+        path.write_bytes(given.string.replace(given[0], changed))
+        with pytest.raises(ValueError, match=r"cloud\.e57: not a whole E57 file: expected poses of numbers"):
+            tj.load_scene(path)
+
     def test_e57(self, tmp_path, monkeypatch):
         path = samples.write("cloud_alone_e57", tmp_path / "sample")
         monkeypatch.setattr(bounds, "POINTS_PER_BYTE", 0)

@@ -4,6 +4,8 @@ import multiprocessing
 import operator
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -317,3 +319,14 @@ def test_no_module_of_the_current_folder_is_imported(name, tmp_path, monkeypatch
     assert outcome.value == (1, 2)
     assert not (tmp_path / "ran").exists()
     assert os.environ["PYTHONSAFEPATH"] == ""
+
+
+def test_a_killed_run_prints_nothing():
+    """Loky's tracker listed the semaphores that it removed."""
+    work = "e.executor.submit(print); print(flush=True); time.sleep(60)"
+    program = f"import time, torchjoint.engine as t\nwith t.open_engine('loky:1') as e: {work}"
+    running = subprocess.Popen([sys.executable, "-c", program], stdout=-1, stderr=-1)
+    running.stdout.readline()
+    time.sleep(1)
+    running.terminate()
+    assert running.communicate(timeout=60)[1] == b""

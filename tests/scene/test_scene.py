@@ -68,6 +68,12 @@ def test_arrays_of_another_byte_order():
     assert torch.equal(frame.intrinsics, K.double())
 
 
+def test_an_image_divided_by_255_twice_is_told():
+    """It is black, so that the cloud alone decided, in silence."""
+    with pytest.warns(UserWarning, match=r"^image of frame 'f': got values up to 0\.0039 of 1; were they divided"):
+        Frame(torch.linspace(0, 1 / 255, 64).view(8, 8), torch.eye(3), torch.eye(4), name="f")
+
+
 def test_intrinsics_may_be_integers():
     matrix = np.array([[50, 0, 32], [0, 50, 24], [0, 0, 1]])
     assert Frame(IMAGE, matrix, POSE).intrinsics.tolist() == matrix.tolist()
@@ -110,7 +116,9 @@ def rotation_scaled(factor):
         ({"intrinsics": K.bfloat16()}, TypeError, "intrinsics of frame 'f': .* got torch.bfloat16; give float32"),
         ({"image": IMAGE.long()}, TypeError, r"image of frame 'f': expected a floating dtype"),
         ({"intrinsics": torch.eye(4)}, ValueError, r"intrinsics of frame 'f': expected shape \[3, 3\], got \[4, 4\]"),
-        ({"intrinsics": torch.zeros(3, 3)}, ValueError, r"intrinsics of frame 'f': expected \[\[fx, s, cx\]"),
+        # Skew was accepted, and not applied.
+        ({"intrinsics": torch.tensor([[9.0, 1, 4], [0, 9, 4], [0, 0, 1]])}, ValueError, r"expected \[\[fx, 0, cx\]"),
+        ({"intrinsics": torch.zeros(3, 3)}, ValueError, r"intrinsics of frame 'f': expected \[\[fx, 0, cx\]"),
         ({"world_to_camera": torch.eye(3)}, ValueError, r"world_to_camera of frame 'f': expected shape \[4, 4\]"),
         ({"world_to_camera": POSE * torch.nan}, ValueError, r"world_to_camera of frame 'f': expected finite values"),
         ({"world_to_camera": rotation_scaled(2)}, ValueError, r"world_to_camera of frame 'f': expected a rigid"),

@@ -101,10 +101,34 @@ def test_damaged_points_of_a_killed_run_are_told(cloud, tmp_path, monkeypatch):
     monkeypatch.undo()
     points = tmp_path / "out.las.tiles" / "points" / "000001.points"
     whole = points.read_bytes()
-    for damaged in (whole[: len(whole) // 2], whole[:-9] + bytes([whole[-9] ^ 1]) + whole[-8:]):
-        points.write_bytes(damaged)
-        with pytest.raises(ValueError, match=r"000001\.points: damaged; remove .*out\.las\.tiles and start again"):
+    for damaged in (whole[: len(whole) // 2], whole[:-9] + bytes([whole[-9] ^ 1]) + whole[-8:], None):
+        points.unlink() if damaged is None else points.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"001\.points: damaged or lost; remove .*out\.las\.tiles and start again"):
             make()
+
+
+def test_exchanged_or_lost_files_of_a_killed_run_are_told(cloud, tmp_path, monkeypatch):
+    """Labels of another tile went into the result; a file without arrays gave a KeyError."""
+    make = partial(superpoints_of_files, cloud, tmp_path / "out.las", tile=7, buffer=1, engine="loky:1")
+    monkeypatch.setattr(tiles, "_stitch", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        make()
+    monkeypatch.undo()
+    work = tmp_path / "out.las.tiles"
+    (labels, other), cut = sorted((work / "labels").iterdir())[:2], work / "cut.npz"
+    kept = {file: file.read_bytes() for file in (labels, other, cut)}
+    np.savez(tmp_path / "none.npz")
+    none = (tmp_path / "none.npz").read_bytes()
+    cases = [{labels: kept[other], other: kept[labels]}, {labels: none}, {labels: b""}, {cut: none}, {cut: b""}]
+    for changed in cases:
+        for file, content in (kept | changed).items():
+            file.write_bytes(content)
+        with pytest.raises(ValueError, match=r"^\S*out\.las\.tiles: damaged; remove it and start again: ."):
+            make()
+    shutil.rmtree(work / "labels")
+    cut.write_bytes(kept[cut])
+    with pytest.raises(ValueError, match=r"000\.points: damaged or lost; remove .*out\.las\.tiles and start again"):
+        make()
 
 
 def test_a_folder_of_files_is_one_cloud(tmp_path):
@@ -463,7 +487,7 @@ def test_a_tile_tells_which_superpoints_may_go_on(tmp_path):
     records.tofile(tmp_path / "one.points")
     task = TileTask(tmp_path / "one.points", tmp_path / "one.npz", (2.0, 1.0), 1.0, zlib.crc32(records.data))
     segment_tile(None, SuperpointsConfig(), task)
-    assert read_shared(task.labels).whole_size.tolist() == [len(grid), len(grid), 0]
+    assert read_shared(task.labels, task.checksum).whole_size.tolist() == [len(grid), len(grid), 0]
     assert not task.points.exists()
 
 

@@ -236,21 +236,20 @@ def composed(*maps: Tensor | None) -> Tensor | None:
 
 
 def warn_of_rounding(points: Tensor, spacing: Tensor) -> None:
-    """Warns if float32 coordinates are so far from the origin that their rounding errors are near the spacing.
+    """Warns if coordinates were rounded to a step near the spacing, as float32 does it far from the origin.
 
     Args:
         points: [N, 3], the given points.
-        spacing: [M] metres, spacing of the points.
+        spacing: [M] metres, spacing of the points without copies.
     """
-    if points.dtype != torch.float32 or len(spacing) < 2:
+    if len(spacing) < 2:
         return
-    step, typical = float(points.abs().max()) * 2**-23, _lower_median(spacing)
+    step, typical = float(points.abs().max()) * torch.finfo(points.dtype).eps, _lower_median(spacing)
+    if len(points) > 2 * len(spacing):  # so many copies may come from rounding before
+        step = max(step, _lower_median(torch.cat([axis.unique().diff() for axis in points.unbind(1)])))
     if step > ROUNDING * typical:
-        warnings.warn(
-            f"points: float32 keeps only {step:.2g} m this far from the origin, but neighbours are {typical:.2g} m "
-            "apart; pass float64, or subtract an offset in float64",
-            stacklevel=2,
-        )
+        told = f"points: coordinates keep only {step:.2g} m, but neighbours are {typical:.2g} m apart"
+        warnings.warn(f"{told}; pass float64, or subtract an offset in float64, before they are rounded", stacklevel=2)
 
 
 def local_cloud(cloud: Cloud, frame: LocalFrame, merge_within: float = 0.0) -> tuple[Cloud, Tensor]:

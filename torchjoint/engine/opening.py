@@ -65,6 +65,8 @@ def open_engine(engine: EngineLike = "loky", threads: int = 1) -> Iterator[Engin
         with ExitStack() as closing:
             # Python would look for modules in the current folder first, which may be a stranger's recording.
             closing.enter_context(_variable("PYTHONSAFEPATH", "1"))
+            # Loky's tracker removes what a killed run leaves, and need not tell.
+            closing.enter_context(_variable("PYTHONWARNINGS", "ignore:resource_tracker"))
             yield _OPENERS[kind](closing, engine, threads, workers, address)
 
 
@@ -159,9 +161,7 @@ def _dask(closing: ExitStack, name: str, threads: int, workers: int | None, addr
     try:
         client = Client(f"tcp://{address}", timeout=PATIENCE, set_as_default=False)
     except OSError as error:
-        raise ConnectionError(
-            f"engine {name}: no scheduler answers at tcp://{address} within {PATIENCE:g} s"
-        ) from error
+        raise ConnectionError(f"engine {name}: no scheduler answers at tcp://{address} in {PATIENCE:g} s") from error
     closing.callback(_close, client, 5)
     if client.dashboard_link:
         logger.info("dask: dashboard at %s", client.dashboard_link)
@@ -228,9 +228,7 @@ def _ray(closing: ExitStack, name: str, threads: int, workers: int | None, addre
             ray.init("local", num_cpus=workers * threads, include_dashboard=False, job_config=Job(), **options)
         closing.callback(ray.shutdown)
         if ray.util.get_node_ip_address() != "127.0.0.1":
-            raise RuntimeError(
-                f"engine {name}: expected that it imports ray first, so that no other machine reaches it"
-            )
+            raise RuntimeError(f"engine {name}: expected to import ray first, so that no other machine reaches it")
 
     def slots() -> int:
         return max(1, int(ray.cluster_resources().get("CPU", 0)) // threads)

@@ -238,7 +238,7 @@ def check_files(folder: Path | str) -> None:
 
     if whole := sum(counts := parallel_map(count, _readers(Path(folder)).values())):
         told = (
-            f"{whole} masks, in {np.count_nonzero(counts)} of {len(counts)} images, cover more than {WHOLE:.0%} of them"
+            f"{whole} masks, in {sum(map(bool, counts))} of {len(counts)} images, cover more than {WHOLE:.0%} of them"
         )
         warnings.warn(f"{folder}: {told}; they join what they cover: leave them out", stacklevel=2)
 

@@ -19,6 +19,9 @@ Beams = Literal["keep", "drop many", "drop any"]
 #: Poses in text files have 7 digits. Poses that were averaged or interpolated wrongly have much larger differences.
 RIGID_TOLERANCE = 1e-3
 
+#: Larger skew, in focal lengths, is an error: none is applied.
+MOST_SKEW = 2e-3
+
 #: Fewer points at (0, 0, 0) than this are no beams without return, unless the points are known to be a scan.
 BEAMS = 10
 
@@ -170,6 +173,8 @@ def as_unit_range(value: Tensor, name: str) -> Tensor:
     low, high = (value.min().item(), value.max().item()) if value.numel() else (0.0, 0.0)
     if low < -1e-4 or high > 1 + 1e-4:
         raise ValueError(f"{name}: expected values in [0, 1] (or uint8), got [{low:.4g}, {high:.4g}]")
+    if 0 < high < 1.01 / 255 and len(value.unique()) > 2:  # a dark image has 0 and 1 / 255
+        warnings.warn(f"{name}: got values up to {high:.2g} of 1; were they divided by 255 twice?", stacklevel=5)
     return value.clamp(0, 1)
 
 
@@ -183,17 +188,16 @@ def as_direction(value: Tensor, name: str) -> Tensor:
 
 
 def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
-    """Checks a camera matrix [3, 3] of any real numbers, in pixels; returns it as float64."""
+    """Checks a camera matrix [3, 3] of any real numbers, in pixels; returns it as float64. Skew would be ignored."""
     if isinstance(intrinsics, Tensor) and not (intrinsics.is_floating_point() or intrinsics.is_complex()):
         intrinsics = intrinsics.double()
     intrinsics = as_float(intrinsics, name, torch.float64).clone()
     check_shape(intrinsics, (3, 3), name)
     zeros = intrinsics[[1, 2, 2], [0, 0, 1]]
     check_largest(intrinsics, name)
-    if intrinsics.diag()[:2].min() <= 0 or zeros.abs().max() > 1e-9 or (intrinsics[2, 2] - 1).abs() > 1e-9:
-        raise ValueError(
-            f"{name}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0, got {intrinsics.tolist()}"
-        )
+    is_skewed = intrinsics[0, 1].abs() > MOST_SKEW * intrinsics[0, 0]
+    if intrinsics.diag()[:2].min() <= 0 or zeros.abs().max() > 1e-9 or (intrinsics[2, 2] - 1).abs() > 1e-9 or is_skewed:
+        raise ValueError(f"{name}: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], f > 0, got {intrinsics.tolist()}")
     return intrinsics
 
 

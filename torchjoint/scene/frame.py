@@ -46,7 +46,7 @@ class Frame:
         image: [3, H, W] RGB in [0, 1]; uint8 images are divided by 255; a grey image ([H, W] or [1, H, W]) is
             repeated three times. A NumPy array may be [H, W, 3], as Pillow and imageio give it; OpenCV's are BGR:
             ``image[..., ::-1]``.
-        intrinsics: [3, 3] camera matrix in pixels of *this* image; pixel centres have integer coordinates.
+        intrinsics: [3, 3] camera matrix in pixels of *this* image, no skew; pixel centres have integer coordinates.
         world_to_camera: [4, 4] rigid transform, metres, OpenCV axes. If your poses are camera-to-world, invert them.
         depth: optional [H, W], metres along the camera's z; 0 = unknown. It is used to check poses, and to fuse a cloud
             if there is none; the method itself does not use it.

@@ -27,7 +27,7 @@ from torchjoint.engine import EngineLike, open_engine
 from torchjoint.results.labelled_file import check_dimension, has_dimension, write_labelled
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
-from torchjoint.runtime.foreign_files import has_file
+from torchjoint.runtime.foreign_files import damage_is, has_file
 from torchjoint.runtime.outputs import SOURCE, check_no_input, lock, put, read_sealed, seen, settle, work_folder
 from torchjoint.tiles.plan import NARROWEST, plan_tiles, survey
 from torchjoint.tiles.stitching import stitch
@@ -230,11 +230,12 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
                 neighbors=np.array(plan.neighbors(found), np.int64).reshape(-1, 2),
                 metres=np.array([np.subtract(one.end, one.first) for one in plan.tiles]) * found.side,
             )
-    arrays = read_archive(marker)
-    num_points, white, width = arrays["numbers"].tolist()
-    neighbors, metres = ([(one, other) for one, other in arrays[name].tolist()] for name in ("neighbors", "metres"))
-    tiles = [*zip(metres, arrays["checksums"].tolist(), strict=True)]
-    return _Cut(int(num_points), int(white) or None, neighbors, tiles, width)
+    with damage_is(f"{work}: damaged; remove it and start again"):
+        arrays = read_archive(marker)
+        num_points, white, width = arrays["numbers"].tolist()
+        neighbors, metres = ([(one, other) for one, other in arrays[name].tolist()] for name in ("neighbors", "metres"))
+        tiles = [*zip(metres, arrays["checksums"].tolist(), strict=True)]
+        return _Cut(int(num_points), int(white) or None, neighbors, tiles, width)
 
 
 def _check_disk(work: Path, num_points: int, colored: bool) -> None:
@@ -268,14 +269,12 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLik
 
 def _stitch(cut: _Cut, work: Path) -> tuple[int, Labels]:
     """Stitches the tiles; returns the number of superpoints and the labels [N], mapped from disk."""
-    try:
-        files = [_labels_file(work, number) for number in range(len(cut.tiles))]
-        counts = [len(read_shared(file).whole_size) for file in files]
+    with damage_is(f"{work}: damaged; remove it and start again"):
+        of = [(_labels_file(work, number), checksum) for number, (_, checksum) in enumerate(cut.tiles)]
+        counts = [len(read_shared(*one).whole_size) for one in of]
         path, dtype = work / "labels.npy", np.dtype(np.uint32 if sum(counts) <= 1 << 32 else np.uint64)
         labels = np.lib.format.open_memmap(path, "w+", dtype, (cut.num_points,))
-        count = stitch(cut.neighbors, counts, lambda i: read_own(files[i]), lambda i: read_shared(files[i]), labels)
-    except ValueError as error:
-        raise ValueError(f"{error}; remove {work} and start again") from error
+        count = stitch(cut.neighbors, counts, lambda i: read_own(*of[i]), lambda i: read_shared(*of[i]), labels)
     del labels
     return count, np.load(path, mmap_mode="r")
 

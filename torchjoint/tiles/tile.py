@@ -16,6 +16,7 @@ from torchjoint.datasets.files.las import LasPoints
 from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
+from torchjoint.runtime.foreign_files import read_file
 from torchjoint.tiles.plan import Plan, Survey, read_points
 
 Array = npt.NDArray[Any]
@@ -149,22 +150,24 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
     if task.labels.is_file():
         task.points.unlink(missing_ok=True)
         return
-    records = np.fromfile(task.points, point_type(white is not None))
-    if zlib.crc32(records.data) != task.checksum:
-        raise ValueError(f"{task.points}: damaged; remove {task.points.parents[1]} and start again")
+    data = read_file(task.points, "points of a tile") if task.points.is_file() else b""
+    if zlib.crc32(data) != task.checksum:
+        raise ValueError(f"{task.points}: damaged or lost; remove {task.points.parents[1]} and start again")
+    records = np.frombuffer(data, point_type(white is not None))
     points = torch.from_numpy(records["xyz"].copy())
     colors = None if white is None else torch.from_numpy(records["rgb"].astype(np.float32) / white)
     number, kind = records["number"].copy(), records["kind"].copy()
     inside = (1 - RIM) * task.buffer  # a superpoint is whole if it reaches at most so far outside of the tile
     xy = records["xyz"][:, :2]
     at_rim = ((xy < -inside) | (xy > np.array(task.size) + inside)).any(1)
-    del records
+    del records, data
     label = superpoints(points, colors, preset=config).numpy().astype(np.int32)
     whole_size = np.bincount(label).astype(np.int32)
     whole_size[label[at_rim]] = 0
     own, shared = (kind & OWN) > 0, (kind & SHARED) > 0
-    arrays = _prefixed("own", OwnLabels(number[own], label[own]))
-    arrays |= _prefixed("shared", SharedLabels(number[shared], label[shared], own[shared], whole_size))
+    # The names of the arrays say of which points they are, so that another tile's file is none of this one.
+    arrays = _prefixed(f"own_{task.checksum}", OwnLabels(number[own], label[own]))
+    arrays |= _prefixed(f"shared_{task.checksum}", SharedLabels(number[shared], label[shared], own[shared], whole_size))
     with atomic_write(task.labels) as partial:
         np.savez(partial, **arrays)  # type: ignore[arg-type]
     task.points.unlink()
@@ -174,19 +177,19 @@ def _prefixed(name: str, arrays: OwnLabels | SharedLabels) -> dict[str, npt.NDAr
     return {f"{name}_{field}": array for field, array in arrays._asdict().items()}
 
 
-def read_own(path: Path) -> OwnLabels:
+def read_own(path: Path, checksum: int) -> OwnLabels:
     """Reads the labels of a tile's own points from the file that :func:`segment_tile` wrote."""
-    return OwnLabels(*_read(path, "own", OwnLabels._fields))
+    return OwnLabels(*_read(path, f"own_{checksum}", OwnLabels._fields))
 
 
-def read_shared(path: Path) -> SharedLabels:
+def read_shared(path: Path, checksum: int) -> SharedLabels:
     """Reads the labels of the points that are also in other tiles from the same file."""
-    return SharedLabels(*_read(path, "shared", SharedLabels._fields))
+    return SharedLabels(*_read(path, f"shared_{checksum}", SharedLabels._fields))
 
 
 def _read(path: Path, prefix: str, fields: Sequence[str]) -> list[npt.NDArray[Any]]:
     names = [f"{prefix}_{field}" for field in fields]
     arrays = read_archive(path, names)
-    if missing := set(names) - set(arrays):
-        raise ValueError(f"{path}: expected the arrays {', '.join(names)}, got no {min(missing)}")
+    if set(names) - set(arrays):
+        raise ValueError(f"{path}: expected the labels of this tile, got others")
     return [arrays[name] for name in names]

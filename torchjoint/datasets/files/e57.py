@@ -28,6 +28,8 @@ from torchjoint.scene.cloud import full_brightness
 PAGE = 1024
 #: A document type, the place of a schema, or another encoding, in which these could hide.
 _FOREIGN_XML = re.compile(rb"<!(DOCTYPE|ENTITY)|schemaLocation\s*=|\0|\A[^>]*encoding\s*=\s*.(?!utf-8)", re.I)
+#: A number of a pose with characters that no number has. The library would read NaN or a text as 0.
+_NO_NUMBER = re.compile(rb"<[wxyz]\s[^<>]*>[^<]*[^<\s\d.eE+-]")
 _XYZ = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
@@ -69,6 +71,8 @@ def _check_xml(path: Path) -> None:
         xml = b"".join(pages)[at % PAGE :][:size]
         if not xml.startswith((b"<", b"\xef\xbb\xbf<")) or _FOREIGN_XML.search(xml):
             raise ValueError("expected XML in UTF-8 without a document type or schema")
+        if _NO_NUMBER.search(xml):
+            raise ValueError("expected poses of numbers")
         _check_depth(xml)
 
 
