@@ -59,11 +59,8 @@ def segment(
         segmented = segmented_and_told(scene, out, parameters, reading.options(), **of_masks, **of_run)
     if segmented is not None:
         show_result(out, view, segmented.segmenter, segmented.scene)
-        file = (
-            scene
-            if scene.suffix.lower() in (".ply", *las.SUFFIXES, *text_clouds.SUFFIXES)
-            else next(out.glob("cloud-*mm.ply"), None)
-        )
+        labelled = ".ply", *las.SUFFIXES, *text_clouds.SUFFIXES
+        file = scene if scene.suffix.lower() in labelled else next(out.glob("cloud-*mm.ply"), None)
         if view is None and file is not None:
             say(f"torchjoint label {out} {file} -o labelled{file.suffix}: its labels in that file")
 
