@@ -7,8 +7,10 @@ import pickle
 
 import pytest
 
+import torchjoint as tj
 from torchjoint.runtime import store as offload
 from torchjoint.runtime.store import OffloadFile
+from torchjoint.views.observations import Observations
 
 
 def test_what_is_written_is_read(tmp_path):
@@ -81,3 +83,18 @@ def test_the_default_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(offload.tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     assert OffloadFile().folder == tmp_path
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+def test_forked_processes_do_not_write_to_one_file(tmp_path, monkeypatch):
+    """Both wrote to the same place, and each read what the other had written."""
+    kept = Observations(budget=0, folder=tmp_path)
+    kept._file = before = OffloadFile(tmp_path)
+    child = os.getpid() + 1
+    monkeypatch.setattr(os, "getpid", lambda: child)
+    scene = tj.synthetic.make_scene(seed=0, num_views=1).scene
+    segmenter = tj.JointSegmenter()
+    segmenter.reset(scene.points)
+    segmenter.update(scene.frames)
+    kept.extend(segmenter.state.observations[:])
+    assert kept._file is not before

@@ -154,7 +154,7 @@ class OffloadFile:
         except OSError as error:
             raise self._error(error) from error
         weakref.finalize(self, self._file.close)  # with the last span
-        self._end = 0
+        self._end, self.process = 0, os.getpid()  # a forked one would write to the same place of the same file
         self._lock = Lock()
 
     def write(self, parts: Sequence[bytes]) -> list[Span]:
@@ -197,12 +197,9 @@ class OffloadFile:
         return b"".join(parts)
 
     def _error(self, error: OSError) -> OSError:
-        return OSError(
-            error.errno,
-            f"memory: data beyond this limit go to a temporary file, which cannot be written ({error.strerror}); free "
-            "disk space, or give another folder (offload=, or the variable TMPDIR) or more memory (memory=)",
-            str(self.folder),
-        )
+        told = f"data beyond this limit go to a temporary file, which cannot be written ({error.strerror})"
+        hint = "free disk space, or give another folder (offload=, or the variable TMPDIR) or more memory (memory=)"
+        return OSError(error.errno, f"memory: {told}; {hint}", str(self.folder))
 
 
 def _default_folder() -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -254,7 +255,7 @@ class Observations(Sequence[Observation]):
         """The same observations, with their bytes in the file."""
         if not packed:
             return []
-        if self._file is None:
+        if self._file is None or self._file.process != os.getpid():
             self._file = OffloadFile(self._folder)
         spans = iter(self._file.write([part.data() for one in packed for part in one.parts.values()]))
         give_back()  # otherwise the peak memory of a long recording is some tenths of a gigabyte higher
