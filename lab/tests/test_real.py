@@ -1,6 +1,7 @@
 """`torchjoint-lab real`: scores against a truth of some things, the sets, resuming, rivals, the table, the picture."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -66,6 +67,11 @@ class TestScenes:
         assert truth.instance[:6].tolist()[:5] == [-1] * 5
         assert truth.other.nonzero().flatten().tolist() == [3, 4]
         assert scene.truth.images[0][0].tolist() == [-1] * 8 + [0] * (scene.frames[0].size[1] - 8)
+
+    def test_a_plain_folder_without_images(self, data, tmp_path):
+        for name in ("cloud.ply", "cloud.truth.npy", "camera-intrinsics.txt"):
+            shutil.copy(data / "real" / "shelf" / name, tmp_path)
+        assert not len(read_plain(tmp_path).scene.frames)
 
     def test_masks_for_the_shelf(self, data):
         plain, *masked = find_real_scenes(data)

@@ -43,7 +43,7 @@ def read_frames(path: Path) -> recording.Frames:
     found = [_stem(file) for file in recording.sorted_images(path, _color_files(path))]
     no_twice(found, f"{path}: the colour image of frame")
     recording.tell_lost(str(path), map(_stem, path.glob("frame-*.pose.txt")), found)
-    if not (colors := _posed(path)):
+    if not (colors := _posed(path)) and found:
         raise FileNotFoundError(f"{path}: none of {len(found)} colour images has a pose, a file NAME.pose.txt")
     stems = [*map(_stem, colors)]
     lost = [stem for stem in found if stem not in set(stems)]
