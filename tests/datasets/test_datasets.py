@@ -1,5 +1,6 @@
 """Reading recordings from disk."""
 
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -114,6 +115,21 @@ def test_a_fused_cloud_is_found_in_the_cache(tmp_path, synthetic, monkeypatch, n
         with pytest.raises(ZeroDivisionError):
             tj.load_scene(recording, voxel_size=0.05)
     monkeypatch.undo()
+
+
+def test_depth_of_equal_size_and_time_is_fused_anew(tmp_path, synthetic, monkeypatch):
+    """A copy that keeps the times (rsync, cp -p) got the cloud of the depth images before it."""
+    recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
+    monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
+    fused = tj.load_scene(recording, voxel_size=0.05)
+    for file in recording.glob("*.depth.png"):
+        before, depth = file.stat(), np.array(Image.open(file))
+        depth[:, :80] = 0
+        Image.fromarray(depth).save(file)
+        with file.open("ab") as stream:
+            stream.truncate(before.st_size)  # zeros after the end of a PNG are ignored
+        os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert len(tj.load_scene(recording, voxel_size=0.05).points) < len(fused.points)
 
 
 def test_a_cloud_that_is_fused_far_from_the_origin_is_as_exact(synthetic):

@@ -174,7 +174,7 @@ def fuse_or_recall(
     """
     folder, file, kept = cache_folder(), None, {}
     if folder is not None:
-        key = repr((fingerprint(path), float(voxel_size), version("torchjoint"), how))
+        key = repr((fingerprint(path, changed=True), float(voxel_size), version("torchjoint"), how))
         file = folder / "clouds" / hashlib.sha256(key.encode()).hexdigest()
         with suppress(OSError, ValueError):  # it is not there, or damaged: it is written anew
             kept = read_values(file)
