@@ -32,7 +32,7 @@ def edits(
         result: folder that `torchjoint segment` wrote, from which the file was exported, at its own level.
         file: .json of labelCloud (centroid_abs); .json of Segments.ai, a label of points or cuboids; .json of CVAT
             (annotations/default.json of format Datumaro 3D); .txt of OpenPCDet's custom data sets; or .csv of `export`,
-            with names that you have filled in or emptied.
+            with names that you have filled in (an empty one changes nothing; the viewer removes names).
     """
     check_no_input(file, parts_of(result), "FILE")
     stored = load_result(result, edits=False)
@@ -42,7 +42,7 @@ def edits(
     labels, corrected = shared_edits.read_point_labels(file, len(stored.points)), edited(stored, before)
     if (names := shared_edits.read_names(file, corrected)) is not None:
         steps = shared_edits.edits_of_names(corrected, names, parts.of_point)
-        say(f"{len(steps)} names changed, {sum(not step.name for step in steps)} of them removed")
+        say(f"{len(steps)} names changed")
     elif labels is not None:
         steps, others = shared_edits.edits_of_points(parts, before, labels)
         if stored.hierarchy is not None and 2 * others > len(stored.points):

@@ -35,7 +35,7 @@ def segment(
     An interrupted run continues when it is started again with the same arguments.
 
     Args:
-        scene: folder of frames; docs/your_data.md lists the layouts.
+        scene: folder of frames, or a cloud (.ply, .laz, a mesh, ...); docs/your_data.md lists all.
         out: folder for the result: points.ply, points.npz, images/, overview.png, run.yaml; but for method paper also
             hierarchy.npz and pieces/. Default: SCENE-result in the current folder.
         parameters: parameters of the method.

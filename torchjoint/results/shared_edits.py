@@ -151,16 +151,16 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray
         if holder is not None:
             steps.append(Edit("join", (int(place[segment_of[holder]]), int(place[segment]))))
     stayed = len(own) - len(set(segment_of.values())) - len(steps)
-    named = {one: boxes[number].name for number, one in segment_of.items() if _told(boxes[number].name)}
     empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
-    names = edits_of_names(result, named, superpoint)
+    names = edits_of_names(result, {one: boxes[number].name for number, one in segment_of.items()}, superpoint)
     return BoxEdits((*steps, *names), len(steps), len(names), empty, stayed)
 
 
 def read_names(file: Path, result: Result) -> dict[int, str] | None:
-    """Reads new names of segments, or "", in a table of `export --format csv`; None: the file has another suffix.
+    """Reads new names of segments in a table of `export --format csv`; None: the file has another suffix.
 
-    Programs may have written ; for , and may have left out rows or columns other than id, name and points.
+    An empty name changes nothing: the table may be older. Programs may have written ; for , and may have left out rows,
+    or columns other than id, name and points.
 
     Raises:
         ValueError: it has no such columns, or a name is that of no segment of the result, or of one with other points.
@@ -179,8 +179,7 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
         for row in table:
             segment, points = (_count(row[column] or "") for column in ("id", "points"))
             name = printable((row["name"] or "").strip()).removeprefix("'")  # csv_text's, before what would be computed
-            is_old = not name and sizes.get(segment) != points  # of before corrections: its names may be, too
-            if is_old or name == result.segment_names.get(segment, ""):
+            if name in ("", result.segment_names.get(segment, "")):
                 continue
             told = f"line {table.line_num}: {name!r}: segment {(row['id'] or '')[:20]}"
             if segment not in sizes:
@@ -198,12 +197,12 @@ def _count(text: str) -> int:
 
 
 def edits_of_names(result: Result, names: Mapping[int, str], superpoint: npt.NDArray[np.int64]) -> tuple[Edit, ...]:
-    """The corrections that give segments these names, or none; arguments as of :func:`edits_of_boxes`."""
+    """The corrections that give segments their names; arguments as of :func:`edits_of_boxes`."""
     place, before = _places(result, superpoint), result.segment_names
     return tuple(
         Edit("name", (int(place[segment]),), _told(name))
         for segment, name in sorted(names.items())
-        if _words(_told(name)) != _words(before.get(segment, ""))
+        if _told(name) and _words(_told(name)) != _words(before.get(segment, ""))
     )
 
 

@@ -420,7 +420,7 @@ class PlyRecords(NamedTuple):
         """Raises ValueError if an element has a property of this name."""
         of_file = next(one for one in self.header.elements if one.name == element)
         if any(one.name == name for one in of_file.properties):
-            raise ValueError(f"element {element} has a property {name} already; choose another name, or remove it")
+            raise ValueError(f"element {element} has a property {name} already; choose another (--name), or remove it")
 
     def with_labels(self, name: str, labels: Mapping[str, Array]) -> bytes:
         """The file with one more property of the elements in `labels`, int NAME, at the end of each row."""

@@ -105,7 +105,7 @@ def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int |
                 names = words
             elif not is_comment:
                 told = f"{name}: line {number}: expected numbers, or names of columns with x, y and z"
-                raise ValueError(f"{told}, got {line[:80]!r}; remove the line, or begin it with #")
+                raise ValueError(f"{told}, got {line[:80]!r}; name them x, y and z, or remove the line")
         elif len(words) == 1 and words[0].isdigit() and count is None:
             count = int(words[0])
         elif words:
@@ -190,7 +190,7 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
     if rows.shape[1] > len(names):
         what = ", ".join(found[:-1]) + f" and {found[-1]}" if len(found) > 1 else found[0]
         told = f"of {rows.shape[1]} columns, the first {len(names)} are read, {what}"
-        warnings.warn(f"{told}; the rest is left out; --columns xyz... names others", stacklevel=3)
+        warnings.warn(f"{told}; the rest is left out; a first line of names (x y z red ...) names others", stacklevel=3)
     return cloud_of(dict(zip(names, rows.T, strict=False)), "rows")
 
 
