@@ -19,6 +19,7 @@ from torchjoint.results.shared_edits import edits_of_names
 from torchjoint.scene import Hierarchy, Scene, Segmentation
 from torchjoint.viewer import cloud
 from torchjoint.viewer.cloud import blocks_of, pick_point
+from torchjoint.viewer.html import panel_html
 from torchjoint.viewer.model import Model, export_selected
 from torchjoint.viewer.painting import painted, point_colors
 from torchjoint.viewer.shown import PARAMETERS
@@ -506,6 +507,13 @@ def test_light_shows_walls_and_floor_and_edges_are_dark():
     near = (u - 0.5).abs().numpy() < 0.02  # the two rows at the edge
     assert changed[:, near].all()
     assert not changed[:, (u - 0.5).abs().numpy() > 0.1].any()
+
+
+def test_the_size_of_a_selected_segment_names_no_unit(model):
+    """A survey may be in feet."""
+    row = model.row(largest(model)[0])
+    size = " × ".join(f"{value:.2f}" for value in row.size)
+    assert f"{row.points} points, {size}, " in panel_html([row], [])
 
 
 def test_another_thread_asks_while_edges_are_found(monkeypatch):

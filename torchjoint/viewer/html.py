@@ -89,7 +89,7 @@ def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
         name = f" <b>{escape(row.name)}</b>" if row.name else ""
         seen = "" if row.frames is None or len(rows) == 1 else f", seen in {row.frames} frames"
         sure = "" if row.sure is None else f", one whole thing: {_percent(row.sure)}"
-        parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {_size(row)} m{seen}{sure}</div>")
+        parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {_size(row)}{seen}{sure}</div>")
     if len(rows) == 1 and frames:
         listed = ", ".join(f"{escape(printable(name))} ({pixels} px)" for name, pixels in frames)
         parts.append(
