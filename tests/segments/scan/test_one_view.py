@@ -111,6 +111,13 @@ def test_rooms_are_none(scene_of):
 
 
 @pytest.mark.slow
+def test_a_large_room_whose_floor_is_at_0_is_none():
+    """The sensor would stand as high above the floor as the floor is noisy."""
+    points = tj.synthetic.make_scene(9, "medium").scene.points
+    assert -0.01 < float(points[:, 2].quantile(0.05)) < 0
+    assert not look_for_scan(points).is_scan
+
+
 def test_depth_images_and_fused_clouds_are_none(shared):
     assert not look_for_scan(load_scene(shared / "data/ycb").points).is_scan
     paths = sorted((shared / "data/mosd").glob("*.pcd"))[::5]

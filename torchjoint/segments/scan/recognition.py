@@ -198,9 +198,10 @@ DIFFERENCE = 0.3
 MAX_DEPENDENCE = 0.38
 #: Largest unevenness (:func:`_unevenness`): scans have .1 to .36, ten aligned sweeps in open places .57 and more.
 LARGEST_UNEVENNESS = 0.45
-#: Smallest ratio of far ranges (95 % quantile) to the depth of low points below the sensor (5 % quantile of heights).
-#: Scans of streets and halls have 10 and more, rooms and table-tops at most 6.
-LEAST_REACH = 8.0
+#: Smallest and largest ratio of far ranges (95 % quantile) to the depth of low points below the sensor (5 % quantile of
+#: heights). Scans of streets and halls have 10 to 100, rooms and table-tops at most 6. Where the floor is at z = 0, the
+#: depth is its noise, and rooms have 400 and more.
+REACH = (8.0, 250.0)
 
 
 def dependence_on_range(points: Tensor) -> float:
@@ -222,7 +223,7 @@ def dependence_on_range(points: Tensor) -> float:
         ordered = seen.range.log().sort().values
         far = math.exp(ordered[round(0.95 * (len(ordered) - 1))])
         depth = -float(points[:, 2].kthvalue(1 + len(points) // 20).values)
-        if depth <= 0 or far < LEAST_REACH * depth:
+        if depth <= 0 or not REACH[0] <= far / depth <= REACH[1]:
             return math.inf
         return _growth(seen) + _contradiction(seen, ordered)
 
