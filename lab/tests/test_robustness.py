@@ -15,6 +15,9 @@ from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene, Truth
 from torchjoint.scene.frame import camera_center
 
+#: What the disturbance 16-bit looks like.
+pytestmark = pytest.mark.filterwarnings("ignore:colors. got values up to .*divided by 255 twice")
+
 COUNT = 200
 
 

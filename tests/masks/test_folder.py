@@ -13,7 +13,7 @@ from folder_files import write_folder
 from PIL import Image
 
 import torchjoint as tj
-from torchjoint.masks.folder import frame_names
+from torchjoint.masks.folder import check_files, frame_names
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene.frame import PoseDoubt
 
@@ -267,6 +267,14 @@ def test_an_image_of_0_and_255_is_told_to_be_one_mask(tmp_path):
     write_labels(tmp_path / "a.png", value=255)
     with pytest.warns(UserWarning, match=r"only 0 and 255 is taken as one mask; of several things, .* in NAME/"):
         assert len(tj.masks.read_masks(tmp_path / "a.png")) == 1
+
+
+def test_a_list_without_masks_is_of_an_image_of_any_size(tmp_path):
+    (tmp_path / "a.json").write_text("[]")
+    check_files(tmp_path)
+    frame = tj.masks.read_folder(tmp_path, scene_of("a")).frames[0]
+    assert len(frame.masks) == 0
+    assert frame.masks.size == SIZE
 
 
 def test_masks_are_read_with_their_frame(tmp_path):

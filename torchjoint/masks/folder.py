@@ -94,7 +94,7 @@ def _read_labels(path: Path) -> Masks:
 def _read_json(path: Path) -> Masks:
     content = read_json(path, "masks")
     if not isinstance(content, Mapping):
-        return from_sam(content)
+        return from_sam(content, None if content else (1, 1))  # no mask: of an image of any size
     if "images" in content:
         raise ValueError(f"{path}: expected the masks of one image, got a COCO data set; give the file itself: {path}")
     if "annotations" not in content:
