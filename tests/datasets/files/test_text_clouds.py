@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from torchjoint.datasets.files import text_clouds
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.scene import Scene
 
@@ -144,3 +145,13 @@ def test_single_unknown_values(tmp_path, by):
     (tmp_path / "a.xyz").write_text(text(XYZ, np.where(np.arange(30)[:, None] == 3, np.nan, UP)))
     with pytest.warns(UserWarning, match="1 of 30 normals are NaN"):
         np.testing.assert_allclose(read_cloud_file(tmp_path / "a.xyz").normals, UP, atol=1e-6)
+
+
+@pytest.mark.parametrize("values", [[1], [1, 2, 3]])
+def test_a_column_of_another_length_is_an_error(tmp_path, values):
+    (tmp_path / "a.csv").write_text("x,y,z\n0,0,0\n\n# a comment\n1,1,1\n")
+    with pytest.raises(ValueError, match=r"argument 2 is (shorter|longer)"):
+        text_clouds.with_column(tmp_path / "a.csv", "label", values)
+    lines = text_clouds.with_column(tmp_path / "a.csv", "label", [5, 6]).splitlines()
+    assert lines[:2] == [b"x,y,z,label", b"0,0,0,5"]
+    assert lines[-1] == b"1,1,1,6"

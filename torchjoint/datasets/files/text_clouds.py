@@ -68,11 +68,11 @@ def with_column(path: Path, name: str, values: Sequence[int]) -> bytes:
     with damage_is(str(path)):
         data = _as_utf8(read_file(path, "a point cloud as text"))
     start, _, names, _ = _preamble(data, str(path))
-    head, rows, left = data[:start].splitlines(), data[start:].splitlines(), iter(values)
+    head, rows = data[:start].splitlines(), data[start:].splitlines()
     mark = next((mark for mark in (b";", b",", b"\t") if mark in rows[0]), b" ")
-    for place, row in enumerate(rows):
-        if numbers := re.split(rb"#|//", row)[0].rstrip():
-            rows[place] = numbers + mark + str(next(left)).encode()
+    of_row = {place: numbers for place, row in enumerate(rows) if (numbers := re.split(rb"#|//", row)[0].rstrip())}
+    for (place, numbers), value in zip(of_row.items(), values, strict=True):  # else labels would move to other rows
+        rows[place] = numbers + mark + str(value).encode()
     if names is not None:
         if name in names:
             raise ValueError(f"{path}: expected no column {name}, got one; choose another --name")
