@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,14 +105,19 @@ def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys)
         def camera(self, frame):
             shown.append(frame.name)
 
-        def show(self, result, frames, note):
-            shown.append((len(frames), len(result.labels) == len(result.cloud.points), note))
+        def show(self, result, seen, note):
+            assert seen.up.tolist() == [0, 1, 0]
+            shown.append((len(seen.frames), len(result.labels) == len(result.cloud.points), note))
 
         def finish(self, folder, result):
-            assert len(tj.load_result(folder).points) == len(result.labels)
+            written = tj.load_result(folder)
+            assert len(written.points) == len(result.labels)
+            assert written.scene.up.tolist() == [0, 1, 0]
             served.append(folder)
 
     monkeypatch.setattr("torchjoint.cli.live.growing_view", Page)
+    told = replace(tj.load_scene(recording, fuse=False), up=torch.tensor([0.0, 1, 0]))
+    monkeypatch.setattr("torchjoint.cli.live.load_scene", lambda *_, **__: told)
     monkeypatch.setattr("torchjoint.cli.live.serve_until_interrupted", served.append)
     options = ("--voxel-size", "0.05", "--show")
     run("live", recording, "-o", tmp_path / "out", *options)

@@ -155,9 +155,12 @@ def test_bad_voxel_size(tmp_path, synthetic, voxel_size):
         tj.load_scene(recording, voxel_size=voxel_size)
 
 
-def test_a_missing_pose(folder, synthetic):
+@pytest.mark.parametrize("text", [None, "-inf " * 16])  # of 7-Scenes and ScanNet: the camera was lost
+def test_a_missing_pose(folder, synthetic, text):
     write_truth(folder, synthetic)
     (folder / "frame-000010.pose.txt").unlink()
+    if text is not None:
+        (folder / "frame-000010.pose.txt").write_text(text)
     with pytest.warns(UserWarning, match=r": frame-000010: 1 of \d images have no pose and are left out"):
         scene = tj.load_scene(folder)
     assert [frame.name for frame in scene.frames][:3] == ["frame-000000", "frame-000005", "frame-000015"]
@@ -173,7 +176,6 @@ def test_a_missing_pose(folder, synthetic):
     [
         ("1 2 3", r"frame-000010\.pose\.txt: expected 4x4 = 16 numbers, got 3"),
         ("a " * 16, r"frame-000010\.pose\.txt: expected finite numbers"),
-        ("nan " * 16, r"frame-000010\.pose\.txt: expected finite values"),
         ("1 " * 16, r"frame-000010\.pose\.txt: expected a rigid transform"),
     ],
 )

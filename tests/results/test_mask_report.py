@@ -10,6 +10,7 @@ import torch
 from folder_files import write_folder
 
 import torchjoint as tj
+from torchjoint.cli.output import at_level
 from torchjoint.datasets.files.ply import read_ply
 from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports.boxes import export_csv
@@ -121,6 +122,12 @@ class TestARun:
         assert tj.load_result(out).segment_names == {segment["id"]: "it" for segment in named}
         listed = json.loads((out / "segments.json").read_text())["segments"]
         assert {one["id"]: one["name"] for one in listed if one["name"]} == {one["id"]: "it" for one in named}
+
+    def test_finer_levels_only_inherit_names(self, out):
+        loaded = tj.load_result(out)
+        with pytest.warns(UserWarning, match="smaller things have the names of those that they are parts of"):
+            assert set(at_level(out, loaded, 1.0).segment_names.values()) == {"it"}
+        at_level(out, loaded, 0.0)  # without a warning
 
     def test_a_name_by_hand_counts_more(self, out, run, tmp_path):
         copy = shutil.copytree(out, tmp_path / "out")

@@ -685,7 +685,7 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
     segmenter.update(frames[:2])
     first = segmenter.result(images=False)
     view.camera(frames[1])  # there is no page yet
-    view.show(first, frames[:2], "after 2 frames")
+    view.show(first, tj.Scene(first.cloud.points, frames[:2]), "after 2 frames")
     page = new_page(browser)
     page.goto(view.viewer.url)
     wait(lambda: drawn(page) > 1000)
@@ -701,7 +701,7 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
     assert len(second.cloud.points) > len(first.cloud.points)
     assert thing in second.ids
     view.camera(frames[-1])
-    view.show(second, frames, "after all frames")
+    view.show(second, tj.Scene(first.cloud.points, frames), "after all frames")
     wait(lambda: "after all frames" in page.inner_text("#tj-note"))
     (segment,) = view.viewer.model.selected  # the same thing
     assert view.viewer.model.key(segment) == thing

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -26,7 +26,6 @@ from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import Output, check_apart
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.frame import PoseWarning
-from torchjoint.scene.scene import subset
 
 if TYPE_CHECKING:
     from torchjoint.viewer.live import GrowingView
@@ -92,14 +91,14 @@ def live(
         if not len(recording.frames):
             raise ValueError(f"scene: {scene}: expected frames with depth, got a cloud without frames")
         warn_of_poses(recording.frames, str(scene))
-        results = _Results(segmenter, recording.frames, view, log)
+        results = _Results(segmenter, recording, view, log)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PoseWarning)  # the segmenter would say it again
             played = _play(results, rate, every or int(show))
         result = results.compute(len(recording.frames), is_last=True)
         seen = recording.select_frames(played.keyframes)
         tell_if_changed(scene, None, out, before)
-        things = Scene(result.cloud.points, seen.frames, result.cloud.colors, name=recording.name)
+        things = Scene(result.cloud.points, seen.frames, result.cloud.colors, name=recording.name, up=recording.up)
         write_result(partial, things, result.segmentation, config, str(scene), seconds=segmenter.stopwatch.seconds)
         add_to_segments(partial, {"lasting_ids": result.ids.tolist()})
     summarize(result.segmentation, out)
@@ -133,7 +132,7 @@ def _play(results: _Results, rate: float | None, every: int) -> Played:
             if results.segmenter.names:
                 due(count)
 
-        played = play(results.frames, results.segmenter, rate, tell)
+        played = play(results.recording.frames, results.segmenter, rate, tell)
     say(
         f"{len(played.seconds)} frames, the slowest in {max(played.seconds):.2f} seconds; {played.told_dropped()}; "
         f"{len(played.keyframes)} keyframes"
@@ -145,7 +144,7 @@ class _Results(NamedTuple):
     """Computes the things so far, tells what has become of them, and shows them."""
 
     segmenter: LiveSegmenter
-    frames: Sequence[Frame]
+    recording: Scene
     view: GrowingView | None
     log: RerunLog | None
 
@@ -164,7 +163,8 @@ class _Results(NamedTuple):
         if self.log is not None:
             self.log.show(result, count)
         if self.view is not None:
-            self.view.show(result, subset(self.frames, range(count)), f"{when}: {len(result.ids)} things")
+            seen = self.recording.select_frames(range(count))
+            self.view.show(result, seen, f"{when}: {len(result.ids)} things")
         return result
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.folder import read_record
-from torchjoint.results.mask_report import count_masks
+from torchjoint.results.mask_report import count_masks, names_of_masks
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import has_file, read_json
 from torchjoint.runtime.messages import on_terminal, say
@@ -45,7 +45,11 @@ def at_level(result: Path, loaded: Result, granularity: float | None) -> Result:
     if has_file(result / EDITS) and read_json(result / EDITS, "a list of edits")["edits"]:
         told = "--granularity gives a level without joins and splits; names stay"
         warnings.warn(f"{result / EDITS}: {told}", stacklevel=3)
-    return loaded.at(granularity)
+    found = loaded.at(granularity)
+    if names_of_masks(result) and found.num_point_segments > loaded.num_point_segments:
+        told = "smaller things have the names of those that they are parts of; segment --granularity votes on names"
+        warnings.warn(f"{result}: {told}", stacklevel=3)
+    return found
 
 
 def summarize(result: Segmentation, out: Path) -> None:

@@ -1,7 +1,7 @@
 """Shows a run in the viewer before it is finished: updates the labels so far, in a limited share of the time."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -45,15 +45,16 @@ class _LaterPage:
 class GrowingView(_LaterPage):
     """A page that opens with the first result of a :class:`~torchjoint.LiveSegmenter`; arguments as above."""
 
-    def show(self, live: LiveResult, frames: Sequence[Frame], note: str = "") -> None:
+    def show(self, live: LiveResult, seen: Scene, note: str = "") -> None:
         """Shows another result.
 
         Args:
             live: the result.
-            frames: that have come so far; their poses tell what is up.
+            seen: the recording with the frames that have come so far; it tells what is up, or their poses.
             note: a line at the top of the panel.
         """
-        up = up_direction(Scene(live.cloud.points, frames)) if self.viewer is None else None
+        so_far = Scene(live.cloud.points, seen.frames, up=seen.up)
+        up = up_direction(so_far) if self.viewer is None else None
         scene = Scene(live.cloud.points, colors=live.cloud.colors, up=up)
         result = Result.of(Segmentation(live.labels, ()), scene)
         if self.viewer is None:

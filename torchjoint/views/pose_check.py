@@ -246,16 +246,11 @@ CHANCE_SHARE, CHANCE_CORRELATION, LEAST_CONTRAST = 0.8, 0.6, 0.03
 EXCHANGED = 0.03
 
 #: What else depth images may fit: focal lengths so many times as large, and a cloud moved along an axis, metres.
-NEARBY = [
-    *(
-        (scale, (0.0, 0.0, 0.0), f"focal lengths {scale:.2f} times as large")
-        for scale in (1 / 1.1, 1 / 1.05, 1.05, 1.1)
-    ),
-    *(
-        (1.0, tuple(step * (one == axis) for one in range(3)), f"a cloud moved by {step:+.1f} m along {'xyz'[axis]}")
-        for axis in range(3)
-        for step in (-0.1, 0.1)
-    ),
+SCALES, STEPS = (1 / 1.1, 1 / 1.05, 1.05, 1.1), (-0.1, 0.1)
+NEARBY = [(scale, (0.0, 0.0, 0.0), f"focal lengths {scale:.2f} times as large") for scale in SCALES] + [
+    (1.0, tuple(step * (one == axis) for one in range(3)), f"a cloud moved by {step:+.1f} m along {'xyz'[axis]}")
+    for axis in range(3)
+    for step in STEPS
 ]
 #: They fit one of these if they differ less from it than the first number times the difference from what is given, and
 #: this is above the second. It is the mean over the points, each of which counts at most the third number. In 35
@@ -498,31 +493,25 @@ def _complaints(given: PoseAgreement, others: dict[str, PoseAgreement], off_cent
     better = [kind for kind, other in others.items() if _fits_better(given, other, kind)]
     if better:
         found = min(better, key=lambda kind: _residuals(others[kind]))
-        complaints["convention"] = (
-            f"the poses look {CONVENTIONS[found]} (as given: {given}; read like this: {others[found]})"
-        )
+        told = f"(as given: {given}; read like this: {others[found]})"
+        complaints["convention"] = f"the poses look {CONVENTIONS[found]} {told}"
     elif given.in_view == 0:
         complaints["view"] = "no point of the cloud is in view of the checked frames: wrong poses, units or axes?"
     elif given.depth_residual > LARGEST_DEPTH_RESIDUAL:
-        complaints["depth"] = (
-            f"the depth images and the cloud disagree by {given.depth_residual:.1%} (median): wrong poses, intrinsics "
-            "or units?"
-        )
+        told = f"disagree by {given.depth_residual:.1%} (median): wrong poses, intrinsics or units?"
+        complaints["depth"] = f"the depth images and the cloud {told}"
     elif given.color_exchanged > max(CHANCE_CORRELATION, given.color_correlation + EXCHANGED):
-        complaints["channels"] = (
-            "the colours of the points agree better with those of the images if red and blue are exchanged "
-            f"(correlation {given.color_exchanged:.2f} for {given.color_correlation:.2f}): is one of them BGR?"
-        )
+        told = f"(correlation {given.color_exchanged:.2f} for {given.color_correlation:.2f}): is one of them BGR?"
+        better_so = "agree better with those of the images if red and blue are exchanged"
+        complaints["channels"] = f"the colours of the points {better_so} {told}"
     elif (
         given.color_by_chance > LEAST_CONTRAST
         and given.color_residual > CHANCE_SHARE * given.color_by_chance
         and given.color_correlation < CHANCE_CORRELATION
     ):
-        complaints["color"] = (
-            "the colours of the points and of the images agree no more than by chance (they differ by "
-            f"{given.color_residual:.2f}, and by {given.color_by_chance:.2f} in shifted images): wrong poses, or poses "
-            "of other images?"
-        )
+        told = f"{given.color_residual:.2f}, and by {given.color_by_chance:.2f} in shifted images)"
+        by_chance = "of the points and of the images agree no more than by chance (they differ by"
+        complaints["color"] = f"the colours {by_chance} {told}: wrong poses, or poses of other images?"
     if off_center > 0.2:
         told = (
             f"the principal point is {off_center:.0%} of the image's size off its centre: are the intrinsics those of "

@@ -150,6 +150,23 @@ def test_the_latest_transform_of_a_fixed_frame_counts(tmp_path):
     assert [round(-frame.world_to_camera[2, 3].item(), 3) for frame in frames] == [0.7, 0.7]
 
 
+@pytest.mark.parametrize("world", ["map", "robot/odom", "start"])
+@pytest.mark.parametrize("turn", [(0.5**0.5, 0, 0.5**0.5, 0), (0, 0, 0, 1)])  # a rolled camera; one that looks along z
+def test_z_of_a_map_is_up(world, turn, tmp_path):
+    sent = [("/tf_static", 0.0, ros.transforms(0.0, "base", "camera_optical", (0, 0, 0.5), turn)), *ros.messages()]
+    del sent[1]
+    for message in [one for topic, _, one in sent if topic == "/tf"]:
+        message.transforms[0].header.frame_id = world
+    up = tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False).up
+    assert (up is not None and up.tolist() == [0, 0, 1]) == (world != "start" and turn[3] == 0)
+
+
+def test_one_camera_told_twice(tmp_path):
+    messages = [*ros.messages()]
+    messages += [("/depth/camera_info", time, one) for topic, time, one in messages if topic == "/camera/camera_info"]
+    assert len(tj.load_scene(ros.record(tmp_path / "same", messages), voxel_size=0.1).frames) == 2
+
+
 @pytest.mark.parametrize("frame", ["camera_optical", "left_optical"])
 @pytest.mark.parametrize("image", ["image_rect", "image_raw"])
 def test_a_right_camera_in_the_frame_of_the_left_is_told(frame, image, tmp_path):

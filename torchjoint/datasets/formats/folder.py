@@ -11,6 +11,7 @@ cloud.truth.npy                ground-truth instances of the points, integers [N
 """
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,38 +36,39 @@ def load(path: Path, options: recording.Options) -> Scene:
     scene = recording.scene_of_frames(path, frames, options)
     if not options.fuse and recording.find_cloud(path, options) is None:
         return scene  # the truth is that of another cloud
-    return replace(scene, truth=_truth(path, len(scene.points)))
+    return replace(scene, truth=_truth(path, frames.names, len(scene.points)))
 
 
 def read_frames(path: Path) -> recording.Frames:
     """Returns the frames of a folder; each frame is read on access."""
-    found = [_stem(file) for file in recording.sorted_images(path, _color_files(path))]
-    no_twice(found, f"{path}: the colour image of frame")
+    images = recording.sorted_images(path, _color_files(path))
+    no_twice(found := [*map(_stem, images)], f"{path}: the colour image of frame")
     recording.tell_lost(str(path), map(_stem, path.glob("frame-*.pose.txt")), found)
-    if not (colors := _posed(path)) and found:
+    # Reads all poses at once: a bad pose must be found before hours of work, not after. A lost one may be NaN or -inf.
+    files = {color: file for color in images if has_file(file := _beside(color, ".pose.txt"))}
+    read = {color: read_matrix(file, (4, 4)) for color, file in files.items()}
+    poses = {one: world_to_camera(pose, str(files[one])) for one, pose in read.items() if pose.isfinite().all()}
+    if found and not poses:
         raise FileNotFoundError(f"{path}: none of {len(found)} colour images has a pose, a file NAME.pose.txt")
-    stems = [*map(_stem, colors)]
-    lost = [stem for stem in found if stem not in set(stems)]
+    lost = [_stem(color) for color in images if color not in poses]
     recording.tell_left_out(f"{path}: {', '.join(lost[:9])}", len(lost), len(found))
-    # Reads all poses at once: a bad pose must be found before hours of work, not after.
-    pose_files = [_beside(file, ".pose.txt") for file in colors]
-    poses = [world_to_camera(read_matrix(file, (4, 4)), str(file)) for file in pose_files]
     file = path / "camera-intrinsics.txt"
     camera = Camera(read_matrix(file, (3, 3)), name=str(file))
-    without = [file for file in colors if not has_file(_beside(file, ".labels.png"))]
-    if len(without) == len(colors):
+    without = [color for color in poses if not has_file(_beside(color, ".labels.png"))]
+    if len(without) == len(poses):
         recording.tell_not_read(path, "label", "an image of labels")
     elif without:
-        warnings.warn(f"labels: {len(without)} of {len(colors)} frames have no .labels.png", stacklevel=4)
+        warnings.warn(f"labels: {len(without)} of {len(poses)} frames have no .labels.png", stacklevel=4)
+    beside = [[_beside(color, f".{what}.png") for what in ("depth", "labels")] for color in poses]
     shots = [
-        recording.Shot(color, camera, pose, stem, _beside(color, ".depth.png"), labels=_beside(color, ".labels.png"))
-        for color, pose, stem in zip(colors, poses, stems, strict=True)
+        recording.Shot(color, camera, pose, _stem(color), depth, labels=labels)
+        for (color, pose), (depth, labels) in zip(poses.items(), beside, strict=True)
     ]
     return recording.read_shots(shots)
 
 
-def _truth(path: Path, num_points: int) -> Truth | None:
-    colors = _posed(path)
+def _truth(path: Path, names: Sequence[str], num_points: int) -> Truth | None:
+    colors = [file for file in recording.sorted_images(path, _color_files(path)) if _stem(file) in names]
     of_points = path / "cloud.truth.npy"
     images = label_images([_beside(file, ".truth.png") for file in colors], "truth", colors)
     points = as_labels(read_array(of_points), (num_points,), str(of_points)) if has_file(of_points) else None
@@ -75,11 +77,6 @@ def _truth(path: Path, num_points: int) -> Truth | None:
 
 def _color_files(path: Path) -> list[Path]:
     return [file for file in path.iterdir() if file.name.startswith("frame-") and file.name.endswith(_COLOR)]
-
-
-def _posed(path: Path) -> list[Path]:
-    colors = recording.sorted_images(path, _color_files(path))
-    return [file for file in colors if has_file(_beside(file, ".pose.txt"))]
 
 
 def _stem(file: Path) -> str:

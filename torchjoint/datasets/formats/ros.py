@@ -11,13 +11,14 @@ odometry  nav_msgs/Odometry, geometry_msgs/TransformStamped, PoseStamped or Pose
 
 An image gets the depth nearest in time; the nearest pairs are matched first. Its pose is interpolated between the
 transforms before and after it. Both must be within `time_limit`; images without a pose are left out, and a warning says
-how many. The world is the root of the tree of tf, or the frame of the odometry. Scans are moved to the world with their
-own poses, and thinned to one point per voxel.
+how many. The world is the root of the tree of tf, or the frame of the odometry; z of `map`, `odom` and `world` is up.
+Scans are moved to the world with their own poses, and thinned to one point per voxel.
 """
 
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,6 +42,8 @@ INFO, POINTS = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"
 ROLES = ("color", "info", "depth", "points", "odometry")
 #: In place of a topic of odometry.
 STILL = "none"
+#: Worlds whose z axis is up, by ROS's REP 105 and by custom; without the name of a robot before them.
+UPRIGHT, ALONG = ("map", "odom", "world"), 0.9
 
 #: The sine of the angle below which the rectifying rotation of a camera does not matter.
 MOST_TURNED = 1e-3
@@ -74,9 +77,13 @@ def load(path: Path, options: Options) -> Scene:
         _check_poses(bag, topics, poses, frame)
     frames = _frames(bag, topics, poses, options.time_limit)
     if topics.points is None or not options.fuse or find_cloud(path, options) is not None:
-        return scene_of_frames(path, frames, options)
-    points, colors = _merged_scans(bag, topics.points, poses, options.voxel_size)
-    return Scene(points, frames, colors, name=path.stem)
+        scene = scene_of_frames(path, frames, options)
+    else:
+        points, colors = _merged_scans(bag, topics.points, poses, options.voxel_size)
+        scene = Scene(points, frames, colors, name=path.stem)
+    # A camera that looks along z at first is the world of a program that knows nothing of gravity: its z is forward.
+    is_upright = poses.root(frame).rpartition("/")[2] in UPRIGHT and abs(frames[0].world_to_camera[2, 2]) < ALONG
+    return replace(scene, up=torch.tensor([0.0, 0.0, 1.0])) if scene.up is None and is_upright else scene
 
 
 def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> _Topics:
@@ -92,8 +99,10 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
         raise ValueError(f"{bag.path}: expected colour images, got topics {', '.join(bag.kinds) or 'none'}")
     frame = _frame(heads[color] if color in heads else bag.first(color))
     infos = bag.topics(INFO)
-    of_frame = [topic for topic in infos if _frame(bag.first(topic)) == frame]
-    info = _only("info", of_frame or infos, chosen, bag)
+    infos = [topic for topic in infos if _frame(bag.first(topic)) == frame] or infos
+    # Drivers tell the same camera again for the depth in its frame.
+    same = len({repr(messages.matrices_of(bag.first(topic))) for topic in infos}) == 1
+    info = _only("info", infos[:1] if same else infos, chosen, bag)
     if info is None:
         raise ValueError(f"{bag.path}: expected a topic of CameraInfo for {color}, got {', '.join(bag.kinds)}")
     depths = [topic for topic, head in heads.items() if messages.is_depth(head) and _frame(head) == frame]
