@@ -55,7 +55,7 @@ def expected(scene):
     return known | {"superpoints": [tj.superpoints(scene.points, scene.colors)]}
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ["learned", *(pytest.param(one, marks=pytest.mark.slow) for one in METHODS[1:])])
 def test_segmentation(scene, expected, method, other_default):
     result = segmented(scene, method)
     torch.set_default_device(None)

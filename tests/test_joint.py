@@ -60,8 +60,8 @@ class TestSameLabels:
     def test_from_two_runs(self, synthetic, config, result):
         assert_same(result, tj.JointSegmenter(config)(synthetic.scene))
 
-    def test_from_one_thread_and_two(self, synthetic, config, result, set_threads):
-        for count in (1, 2, 3):
+    def test_from_one_thread_and_three(self, synthetic, config, result, set_threads):
+        for count in (1, 3):
             set_threads(count)
             assert_same(result, tj.JointSegmenter(config)(synthetic.scene))
             assert torch.get_num_threads() == count
@@ -69,10 +69,10 @@ class TestSameLabels:
     def test_from_two_threads_with_one_segmenter(self, synthetic, plain):
         segmenter, other = tj.JointSegmenter(CONFIG), synthetic.scene.select_points(torch.arange(3000))
         with ThreadPoolExecutor(4) as threads:
-            found = list(threads.map(segmenter, [synthetic.scene, other] * 2))
-        expected = [plain, tj.JointSegmenter(CONFIG)(other)]
-        assert [len(one.points) for one in found] == [len(one.points) for one in expected * 2]
-        for one, of in zip(found, expected * 2, strict=True):
+            found = list(threads.map(segmenter, [synthetic.scene, other, other]))
+        expected = [plain, *[tj.JointSegmenter(CONFIG)(other)] * 2]
+        assert [len(one.points) for one in found] == [len(one.points) for one in expected]
+        for one, of in zip(found, expected, strict=True):
             assert_same(one, of)
 
     def test_from_frames_in_another_order(self, synthetic, config, result):
@@ -91,16 +91,17 @@ class TestSameLabels:
         for place, index in enumerate(order):
             assert torch.equal(first.images[index], other.images[place])
 
-    @pytest.mark.parametrize("batch_size", [1, 4])
+    @pytest.mark.parametrize("batch_size", [1, pytest.param(4, marks=pytest.mark.slow)])
     def test_from_batches_of_another_size(self, synthetic, config, result, batch_size):
         assert_same(result, tj.JointSegmenter(config)(synthetic.scene, batch_size=batch_size))
 
     def test_from_update_and_compute(self, synthetic, config, result):
         scene, segmenter = synthetic.scene, tj.JointSegmenter(config)
         segmenter.reset(scene.points, scene.colors)
-        for frame in scene.frames:
+        for number, frame in enumerate(scene.frames):
             segmenter.update(frame)
-            segmenter.compute()  # at any time, and without consequence
+            if number in (0, 3):
+                segmenter.compute()  # at any time, and without consequence
         assert_same(result, segmenter.compute())
 
     @pytest.mark.slow
@@ -200,6 +201,7 @@ class TestIdSpace:
 class TestOtherSegmentations:
     """Step 1-2 replaced by somebody else's segmentation."""
 
+    @pytest.mark.slow
     def test_frames_that_bring_labels(self):
         """With true image labels even what geometry cannot see is found."""
         made = make_domain_scene("desk", 42, num_views=6, num_points=10_000)
@@ -699,7 +701,7 @@ def test_steps_under_another_default_device(synthetic):
     assert len(segmenter.compute(images=False).points) == len(synthetic.scene.points)
 
 
-@pytest.mark.parametrize("preset", [None, "scan", "paper"])
+@pytest.mark.parametrize("preset", [None, *(pytest.param(name, marks=pytest.mark.slow) for name in ("scan", "paper"))])
 def test_beams_without_return_have_no_label(synthetic, preset, tmp_path):
     """As those of files: they are told, and change nothing of the other points."""
     scene = synthetic.scene.sample_frames(2)

@@ -132,6 +132,7 @@ def test_a_long_walk_has_few_keyframes(frames, tmp_path):
         assert len(one.names) == count + 1
 
 
+@pytest.mark.slow
 def test_less_memory_changes_no_label(frames, tmp_path):
     small = played(frames, step=0, memory=0)
     small.save(tmp_path / "state")
@@ -173,6 +174,7 @@ def test_an_image_that_measured_nothing_is_no_error(frames):
     assert len(played([blind, frames[0], blind]).result(images=False).ids)
 
 
+@pytest.mark.slow
 def test_new_poses_move_the_cloud_and_the_evidence(frames):
     shift = torch.eye(4, dtype=torch.float64)
     shift[:3, 3] = torch.tensor([4 * VOXEL, 0, -2 * VOXEL])
@@ -231,6 +233,7 @@ def test_what_hides_a_camera_at_rest_for_a_moment_is_not_told(frames):
     played([near if index in (4, 8) else frames[0] for index in range(20)])
 
 
+@pytest.mark.slow
 def test_dark_frames_are_fused_again_as_they_were_taken(frames):
     dark = [replace(frame, image=frame.image / 8) for frame in frames]
     segmenter = played(dark, step=0, keep_depth=True)
@@ -240,7 +243,7 @@ def test_dark_frames_are_fused_again_as_they_were_taken(frames):
     assert after.cloud.colors.mean() == pytest.approx(before.cloud.colors.mean().item(), abs=0.005)
 
 
-@pytest.mark.parametrize("stop", [0, 2])
+@pytest.mark.parametrize("stop", [pytest.param(0, marks=pytest.mark.slow), 2])
 def test_a_saved_segmenter_goes_on_to_the_bit(frames, tmp_path, stop):
     masks = torch.zeros(1, 48, 64, dtype=torch.bool)
     masks[:, 10:30, 10:30] = True
@@ -330,7 +333,13 @@ def test_a_state_survives_a_kill(frames, tmp_path):
     assert len(sizes) > 1
 
 
-@pytest.mark.parametrize("around", [torch.inference_mode, lambda: torch.device("meta")], ids=["inference", "device"])
+DEVICE = pytest.param(lambda: torch.device("meta"), marks=pytest.mark.slow)
+
+
+DEVICE = pytest.param(lambda: torch.device("meta"), marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("around", [torch.inference_mode, DEVICE], ids=["inference", "device"])
 def test_inference_mode_and_a_default_device_change_no_label(frames, around, tmp_path):
     expected = played(frames).result()
     with around():

@@ -105,6 +105,7 @@ def test_label_images_are_at_their_own_frames(tmp_path, frames, results):
         assert (classes[~known] == 0).all()
 
 
+@pytest.mark.slow
 def test_far_from_the_origin_places_are_relative(tmp_path, frames):
     far = torch.tensor([500_000.0, -4_000_000.0, 0.0], dtype=torch.float64)
     moved = []

@@ -44,16 +44,17 @@ def covering(one, other):
     return float(segmentation_covering(one, other).symmetric)
 
 
-@pytest.mark.parametrize("factor", [2.0, 0.25])
+@pytest.mark.parametrize("factor", [2.0, pytest.param(0.25, marks=pytest.mark.slow)])
 def test_a_power_of_two_changes_nothing(scene, labels, factor):
     assert torch.equal(segments(scaled(scene, factor)), labels)
 
 
-@pytest.mark.parametrize("factor", [10.0, 0.1])
+@pytest.mark.parametrize("factor", [pytest.param(10.0, marks=pytest.mark.slow), 0.1])
 def test_other_units(scene, labels, factor):
     assert covering(segments(scaled(scene, factor)), labels) > 0.93  # measured: .999 and .960; coordinates are rounded
 
 
+@pytest.mark.slow
 def test_half_of_the_points(scene, labels):
     half = torch.randperm(len(scene.points), generator=torch.Generator().manual_seed(0))[::2].sort().values
     assert covering(segments(scene.select_points(half)), labels[half]) > 0.85  # measured: .97 and .92

@@ -321,6 +321,7 @@ def test_no_module_of_the_current_folder_is_imported(name, tmp_path, monkeypatch
     assert os.environ["PYTHONSAFEPATH"] == ""
 
 
+@pytest.mark.slow
 def test_a_killed_run_prints_nothing():
     """Loky's tracker listed the semaphores that it removed."""
     work = "e.executor.submit(print); print(flush=True); time.sleep(60)"

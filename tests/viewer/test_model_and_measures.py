@@ -639,6 +639,7 @@ def test_live_parameters_need_no_frames_again(method):
         assert tj.config.evidence_differences(config, changed) == []
 
 
+@pytest.mark.slow
 def test_labels_so_far_change_nothing(scene_of):
     pytest.importorskip("viser")
     from torchjoint.viewer.live import labels_so_far
