@@ -15,8 +15,8 @@ from torchjoint.datasets.files.ply import read_ply
 from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports.boxes import export_csv
 from torchjoint.results.inputs import write_inputs
-from torchjoint.results.mask_report import count_masks
-from torchjoint.results.parts import Parts
+from torchjoint.results.mask_report import count_masks, names_of_masks
+from torchjoint.results.parts import Parts, edited
 from torchjoint.scene import LabelImages
 
 EVERYTHING = tj.masks.from_stack(torch.ones(1, 120, 160, dtype=torch.bool))
@@ -58,6 +58,7 @@ def test_by_hand(tmp_path, synthetic):
             ],
         }
     ]
+    assert names_of_masks(tmp_path) == {0: "cup", 3: "floor"}
     inside = (60 * 60 + 10 * 20) / 4800
     assert found["segments"] == [
         {"id": 0, "masked": round(inside, 4), "frames": 1, "names": {"cup": 1}},
@@ -140,6 +141,13 @@ class TestARun:
             assert loaded.segment_names.get(segment) == expected
             run("export", copy, "--format", "csv", "-o", tmp_path / "a.csv", "--overwrite")
             assert (",sofa," in (tmp_path / "a.csv").read_text()) == (expected is not None)
+
+    def test_a_thing_of_one_image_keeps_its_name(self, out):
+        loaded = tj.load_result(out)
+        alone, parts = loaded.num_point_segments, Parts(loaded)
+        loaded = replace(loaded, segment_names={alone: "far"})
+        steps = (Edit("name", (0,), "sofa"),)
+        assert edited(loaded, Edits(parts.count, steps=steps)).segment_names == {0: "sofa", alone: "far"}
 
     def test_an_export_of_what_is_masked(self, out, run, tmp_path):
         kept = [s["id"] for s in json.loads((out / "masks.json").read_text())["segments"] if s["masked"] >= 0.5]

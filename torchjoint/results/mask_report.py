@@ -108,12 +108,18 @@ def frames_with_masks(folder: Path) -> list[str]:
 
 
 def names_of_masks(folder: Path) -> dict[int, str]:
-    """The name that most masks of each segment have, of those that became it; nothing without masks.json."""
+    """The name that most masks of each segment have, of those that became it; nothing without masks.json.
+
+    A segment of an image alone has that of the mask that is most like it.
+    """
     if not has_file(folder / FILE):
         return {}
     with damage_is(f"{folder / FILE}: not the masks of this result"):
-        named = {int(one["id"]): one["names"] for one in _read(folder)["segments"] if one["names"]}
-        return {segment: printable(max(names, key=names.get))[:LONGEST] for segment, names in named.items()}
+        frames, segments = _read(folder).values()
+        found = [mask for one in frames for mask in one["masks"] if mask["iou"] >= FOUND and mask["name"]]
+        names = {int(mask["segment"]): mask["name"] for mask in sorted(found, key=lambda mask: float(mask["iou"]))}
+        names |= {int(one["id"]): max(one["names"], key=one["names"].get) for one in segments if one["names"]}
+        return {segment: printable(name)[:LONGEST] for segment, name in names.items()}
 
 
 def select_masked(folder: Path, result: Result) -> Result:

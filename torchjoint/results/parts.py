@@ -122,4 +122,6 @@ def edited(result: Result, edits: Edits) -> Result:
     images = level_images(result.images, before, segments, max(int(ids.max()) + 1, before), superpoints)
     points = segments[torch.from_numpy(parts.of_point)]
     names = {int(ids[first]): name for first, name in parts.names(edits).items()}
+    if int(ids.max()) < before:
+        names |= {one: name for one, name in result.segment_names.items() if one >= before}
     return replace(result, points=points, images=images if len(result.images) else (), segment_names=names)

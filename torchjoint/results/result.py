@@ -29,7 +29,7 @@ class Result(Segmentation):
     Attributes:
         scene: the cloud, and the frames in the order of the images. Frames are read when they are used.
         config: the parameters of the run; None if unknown.
-        segment_names: names that were given by hand, or that most masks of a segment have, by id.
+        segment_names: names that were given by hand, or that most masks of a segment have, by id, also of an image's.
         saved_embeddings: the vectors that were saved with the result, of the segments at that time.
         manifest: checksum of the manifest of the folder that it was read from; None: of none.
     """

@@ -435,21 +435,18 @@ def _nearby_complaints(differences: Tensor) -> dict[str, str]:
 def _edge_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
     if alignment is None or alignment.significance >= CHANCE:
         return {}
-    return {
-        "edges": "image edges coincide with depth jumps of the points no more than by chance (correlation "
-        f"{alignment.correlation:.2f}, {alignment.significance:+.1f} standard deviations from that of shifted images; "
-        "right poses have +2.6 and more): wrong extrinsics or intrinsics?"
-    }
+    told = "image edges coincide with depth jumps of the points no more than by chance (correlation "
+    told += f"{alignment.correlation:.2f}, {alignment.significance:+.1f} standard deviations from that of shifted "
+    told += "images; right poses have +2.6 and more): wrong extrinsics or intrinsics?"
+    return {"edges": told}
 
 
 def _mask_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
     if alignment is None or alignment.significance >= MASK_CHANCE or alignment.correlation >= MASK_STRENGTH:
         return {}
-    return {
-        "masks": "edges of the images are no stronger at the borders of masks or labels than elsewhere "
-        f"({alignment.significance:+.1f} standard deviations from shifted images): are they of other images, mirrored "
-        "or turned?"
-    }
+    told = "edges of the images are no stronger at the borders of masks or labels than elsewhere ("
+    told += f"{alignment.significance:+.1f} standard deviations from shifted images): are they of other images, "
+    return {"masks": told + "mirrored or turned?"}
 
 
 def _fits_better(given: PoseAgreement, other: PoseAgreement, kind: str) -> bool:
@@ -493,30 +490,28 @@ def _complaints(given: PoseAgreement, others: dict[str, PoseAgreement], off_cent
     better = [kind for kind, other in others.items() if _fits_better(given, other, kind)]
     if better:
         found = min(better, key=lambda kind: _residuals(others[kind]))
-        told = f"(as given: {given}; read like this: {others[found]})"
-        complaints["convention"] = f"the poses look {CONVENTIONS[found]} {told}"
+        told = f"the poses look {CONVENTIONS[found]} (as given: {given}; "
+        complaints["convention"] = f"{told}read like this: {others[found]})"
     elif given.in_view == 0:
         complaints["view"] = "no point of the cloud is in view of the checked frames: wrong poses, units or axes?"
     elif given.depth_residual > LARGEST_DEPTH_RESIDUAL:
-        told = f"disagree by {given.depth_residual:.1%} (median): wrong poses, intrinsics or units?"
-        complaints["depth"] = f"the depth images and the cloud {told}"
+        told = f"the depth images and the cloud disagree by {given.depth_residual:.1%} (median)"
+        complaints["depth"] = f"{told}: wrong poses, intrinsics or units?"
     elif given.color_exchanged > max(CHANCE_CORRELATION, given.color_correlation + EXCHANGED):
-        told = f"(correlation {given.color_exchanged:.2f} for {given.color_correlation:.2f}): is one of them BGR?"
-        better_so = "agree better with those of the images if red and blue are exchanged"
-        complaints["channels"] = f"the colours of the points {better_so} {told}"
+        told = "the colours of the points agree better with those of the images if red and blue are exchanged "
+        told += f"(correlation {given.color_exchanged:.2f} for {given.color_correlation:.2f})"
+        complaints["channels"] = f"{told}: is one of them BGR?"
     elif (
         given.color_by_chance > LEAST_CONTRAST
         and given.color_residual > CHANCE_SHARE * given.color_by_chance
         and given.color_correlation < CHANCE_CORRELATION
     ):
-        told = f"{given.color_residual:.2f}, and by {given.color_by_chance:.2f} in shifted images)"
-        by_chance = "of the points and of the images agree no more than by chance (they differ by"
-        complaints["color"] = f"the colours {by_chance} {told}: wrong poses, or poses of other images?"
+        told = "the colours of the points and of the images agree no more than by chance (they differ by "
+        told += f"{given.color_residual:.2f}, and by {given.color_by_chance:.2f} in shifted images)"
+        complaints["color"] = f"{told}: wrong poses, or poses of other images?"
     if off_center > 0.2:
-        told = (
-            f"the principal point is {off_center:.0%} of the image's size off its centre: are the intrinsics those of "
-            "another image size? (Scale them with the image.)"
-        )
+        told = f"the principal point is {off_center:.0%} of the image's size off its centre: are the intrinsics those "
+        told += "of another image size? (Scale them with the image.)"
         # A problem that ends a run would hide what comes after it.
         complaints[next(iter(complaints), "off center")] = "; ".join((*complaints.values(), told))
     return complaints
