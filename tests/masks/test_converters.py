@@ -107,6 +107,12 @@ class TestSam:
         ]
         assert_equal(tj.masks.from_sam(records, size=(3, 4)), STACK, [0.9 * 0.95, 1.0])
 
+    def test_class_names(self):
+        """As Grounded SAM and Semantic Segment Anything write them."""
+        first, second = sam_records()
+        assert tj.masks.from_sam([first | {"class_name": "cup"}, second]).names == ("cup", "")
+        assert tj.masks.from_sam([first, second]).names == ()
+
     def test_no_masks_need_a_size(self):
         assert tj.masks.from_sam([], size=(3, 4)).size == (3, 4)
         with pytest.raises(ValueError, match=r"size: expected \(H, W\), because records has no masks"):

@@ -520,6 +520,19 @@ def test_what_is_under_the_mouse_is_lit_and_named(viewer, page):
     wait(lambda: not viewer._cloud._lit)
 
 
+def test_a_selected_thing_under_the_mouse_is_named(viewer, page):
+    errors = []
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    segment, place = visible_segments(viewer)[0]
+    page.mouse.click(*place)
+    wait(lambda: viewer.model.selected == (segment,))
+    page.mouse.move(place[0] - 3, place[1])
+    page.mouse.move(*place)
+    wait(lambda: viewer._cloud._lit)
+    page.wait_for_timeout(2000)
+    assert not errors  # a cloud without points was one
+
+
 def test_the_photo_is_behind_the_points_until_the_view_turns(viewer, page):
     page.get_by_role("button", name="Stand at this camera").click()
     wait(lambda: viewer._eyes._arrived)

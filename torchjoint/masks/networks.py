@@ -22,7 +22,7 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
     Args:
         records: a dict for each mask: ``segmentation`` (array [H, W], or COCO run lengths, compressed or not);
             optional ``predicted_iou`` and ``stability_score``, whose product, clipped to [0, 1], is the score; optional
-            ``area``, which must be the mask's number of pixels, and ``bbox``, around it.
+            ``area``, which must be the mask's number of pixels, ``bbox``, around it, and ``class_name``.
         size: (H, W) of the image; required if `records` may be empty.
 
     Raises:
@@ -33,11 +33,11 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
     """
     if isinstance(records, (Mapping, str)) or not isinstance(records, Sequence):
         raise TypeError(f"records: expected a list of dicts, got {type(records).__name__}")
-    names = [f"records[{index}]" for index in range(len(records))]
-    scores = torch.tensor([_score(*one) for one in zip(records, names, strict=True)], dtype=torch.float32)
+    scores = torch.tensor([_score(one, f"records[{i}]") for i, one in enumerate(records)], dtype=torch.float32)
     check_declared((record["segmentation"] for record in records), size, "records")
-    masks = (_pixels(record, size, name) for record, name in zip(records, names, strict=True))
-    return merged(masks, len(records), size, scores, "records")
+    masks = (_pixels(record, size, f"records[{index}]") for index, record in enumerate(records))
+    names = tuple(str(record.get("class_name", "")) for record in records)
+    return replace(merged(masks, len(records), size, scores, "records"), names=names if any(names) else ())
 
 
 def _pixels(record: Mapping[str, Any], size: tuple[int, int] | None, name: str) -> Pixels:

@@ -139,8 +139,7 @@ class Viewer:
             ValueError: edits.json is damaged, or belongs to another result.
         """
         with self._lock:
-            self._saved = shown.edits(result)
-            self._shown = shown
+            self._shown, self._saved = shown, shown.edits(result)
             self.model = self.model.of_result(result, self._saved)
             self._add_panel(*((self._frame_index(), self._panel.cameras.value) if self._has_frames else ()))
         self._work_behind()

@@ -125,8 +125,9 @@ class CloudView:
         shown = members[:: -(-len(members) // LIT) or 1]
         colors = (255 - 0.5 * (255.0 - self._colors[shown])).astype(np.uint8)
         at = self._points[shown] + 0.005 * (client.camera.position - self._points[shown])  # before their own colours
-        label = client.scene.add_label("/name", name, position=self._points[point], anchor="bottom-center")
-        self._lit = [label, self._add(client.scene, "/lit", at, colors, 1.1 * self._factor * self.size)]
+        self._lit = [client.scene.add_label("/name", name, position=self._points[point], anchor="bottom-center")]
+        if len(shown):  # the page fails on a cloud without points, as of a selected thing
+            self._lit.append(self._add(client.scene, "/lit", at, colors, 1.1 * self._factor * self.size))
 
     def unlight(self) -> None:
         """Takes back what :meth:`light` drew."""

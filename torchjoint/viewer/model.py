@@ -180,7 +180,7 @@ class Model:
     def join(self) -> None:
         """Joins the selected segments."""
         if len(self.selected) < 2:
-            raise ValueError("join: select two or more segments with shift")
+            raise ValueError("join: select two or more segments, with shift or `Select several`")
         first, *others = self.selected
         self._add(*(Edit("join", (first, other)) for other in others))
 
