@@ -238,12 +238,12 @@ def _parse(head: bytes) -> LasHeader:
     version = head[24:26]
     if version[0] != 1 or version[1] > 5:
         raise ValueError(f"expected version 1.0 to 1.5, got {version[0]}.{version[1]}")
-    header_size, points_at, num_records, kind, record_size, num_points = struct.unpack_from("<HIIBHI", head, 94)
+    size, points_at, num_records, kind, record_size, num_points = struct.unpack_from("<HIIBHI", head, 94)
     extended_at = num_extended = 0
     if version[1] >= 4:
         extended_at, num_extended, wide = struct.unpack_from("<QIQ", head, 235)
         num_points = wide or num_points
-    if header_size < HEADER or points_at < header_size + RECORD * num_records:
+    if size < HEADER or points_at < size + RECORD * num_records:
         raise ValueError(f"the points begin at byte {points_at}, inside a header with {num_records} records")
     if record_size < 20:
         raise ValueError(f"expected points of at least 20 bytes, got {record_size}")
@@ -253,9 +253,7 @@ def _parse(head: bytes) -> LasHeader:
     if not all(map(math.isfinite, places)) or 0 in places[:3]:
         raise ValueError(f"expected finite scales other than 0 and finite offsets, got {places}")
     compressed = bool(kind & COMPRESSED)
-    return LasHeader(
-        header_size, points_at, num_records, record_size, num_points, compressed, extended_at, num_extended
-    )
+    return LasHeader(size, points_at, num_records, record_size, num_points, compressed, extended_at, num_extended)
 
 
 def _check_records(file: BinaryFile, header: LasHeader) -> None:
