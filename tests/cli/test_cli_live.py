@@ -13,6 +13,7 @@ import torch
 from folder_files import write_folder
 
 import torchjoint as tj
+from torchjoint.results.folder import write_result
 from torchjoint.runtime import outputs
 
 
@@ -60,6 +61,12 @@ def test_a_recording_that_changes_while_it_plays(recording, tmp_path, run, monke
     monkeypatch.setattr(tj.LiveSegmenter, "update", lambda *given: (shutil.copy(last, first), update(*given)))
     with pytest.warns(UserWarning, match="recording: changed while it was segmented; the result may be of both states"):
         run("live", changing, "-o", tmp_path / "out", "--voxel-size", "0.05")
+    monkeypatch.setattr(tj.LiveSegmenter, "update", update)
+    monkeypatch.setattr(
+        "torchjoint.cli.live.write_result", lambda *given, **named: (first.touch(), write_result(*given, **named))
+    )
+    with pytest.warns(UserWarning, match="recording: changed while it was segmented; the result may be of both states"):
+        run("live", changing, "-o", tmp_path / "more", "--voxel-size", "0.05")
 
 
 def test_wrong_poses_are_told_before_it_plays(recording, tmp_path, run, monkeypatch):

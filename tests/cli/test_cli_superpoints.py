@@ -113,6 +113,21 @@ def test_columns_by_letters(tmp_path, run, suffix):
         read_cloud_file(write(tmp_path / "b.ply"), "xyz")
 
 
+def test_a_ply_that_changes_meanwhile(tmp_path, run, monkeypatch):
+    """It is read once for its points, and once for its other bytes."""
+    write_cloud(tmp_path / "a.ply", POINTS)
+
+    def read(path, *given):
+        cloud = read_cloud_file(path, *given)
+        write_cloud(path, cloud.points.flip(0))
+        return cloud
+
+    monkeypatch.setattr("torchjoint.cli.superpoints.read_cloud_file", read)
+    with pytest.raises(SystemExit, match=r"a\.ply: changed while it was read; start again"):
+        run("superpoints", tmp_path / "a.ply", "-o", tmp_path / "b.ply", "--no-picture")
+    assert not (tmp_path / "b.ply").exists()
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "binary_big_endian"])
 def test_a_ply_keeps_all_that_it_has(tmp_path, run, encoding):
     """The source's bytes stay, and get a column; a second time is an error before the work."""

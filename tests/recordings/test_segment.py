@@ -15,6 +15,7 @@ from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.engine.engine import SHARED
 from torchjoint.recordings.segment import evidence_of_chunks, fingerprints, run, segment_recording
 from torchjoint.results.checkpoint import Checkpoint
+from torchjoint.results.folder import write_result
 from torchjoint.runtime.files import file_checksum
 
 QUICK = tj.Config().set(["boundary.detector=gradient"])
@@ -107,7 +108,7 @@ def test_a_whole_result_of_another_up_is_not_taken(scene_of, tmp_path, monkeypat
             assert (made is not None) == has_run
 
 
-@pytest.mark.parametrize("late", [None, "image", "masks", "gone"])
+@pytest.mark.parametrize("late", [None, "image", "masks", "gone", "written"])
 def test_a_recording_that_changes_meanwhile(scene_of, tmp_path, monkeypatch, late):
     """As one that is still being copied."""
     recording, masks = tmp_path / "a.ply", tmp_path / "masks"
@@ -117,12 +118,18 @@ def test_a_recording_that_changes_meanwhile(scene_of, tmp_path, monkeypatch, lat
     def load(*_, **__):
         if late == "gone":
             recording.unlink()
-        elif late is not None:
+        elif late in ("image", "masks"):
             (masks / "b.png" if late == "masks" else recording).write_bytes(b"new")
         return scene_of(1).scene
 
+    def write(*arguments, **named):  # reads the images again
+        if late == "written":
+            recording.write_bytes(b"new")
+        write_result(*arguments, **named)
+
     monkeypatch.setattr("torchjoint.recordings.segment.load_scene", load)
     monkeypatch.setattr("torchjoint.recordings.segment.read_folder", lambda _, scene, *__: scene)
+    monkeypatch.setattr("torchjoint.recordings.segment.write_result", write)
     told = (
         contextlib.nullcontext() if late is None else pytest.warns(UserWarning, match=r"a\.ply: changed while it was")
     )

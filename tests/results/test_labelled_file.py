@@ -19,6 +19,7 @@ import torchjoint as tj
 from torchjoint.datasets.files import meshes
 from torchjoint.datasets.files.ply import read_ply, read_vertex_property, write_cloud
 from torchjoint.datasets.formats import cloud_alone
+from torchjoint.results import labelled_file
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.folder import write_result
 from torchjoint.results.labelled_file import label_file, nearest_labels, part_files, write_labelled
@@ -172,6 +173,16 @@ def test_parts_of_a_mesh(tmp_path, encoding):
         assert torch.equal(part.faces, FACES[:2])
     with pytest.raises(ValueError, match="expected a binary file"):
         part_files(squares(tmp_path / "a.ply", "ascii"), tmp_path / "more", of_squares())
+
+
+@pytest.mark.parametrize("write", [label_file, part_files])
+def test_a_file_that_changes_after_it_was_read(tmp_path, monkeypatch, write):
+    """Its vertices would get the labels of those that it had before."""
+    path, read = squares(tmp_path / "a.ply", "binary_little_endian"), labelled_file._read
+    later = squares(tmp_path / "b.ply", "ascii")
+    monkeypatch.setattr(labelled_file, "_read", lambda source: (read(source), later.replace(source))[0])
+    with pytest.raises(ValueError, match=r"a\.ply: changed while it was read; start again"):
+        write(path, tmp_path / "out.ply", of_squares())
 
 
 @pytest.mark.parametrize("suffix", meshes.SUFFIXES)

@@ -294,7 +294,7 @@ def test_a_cloud_that_changes_meanwhile(cloud, tmp_path, monkeypatch):
         write(*arguments)
 
     monkeypatch.setattr(tiles, "_write", late)
-    with pytest.raises(ValueError, match=r"mine\.laz: changed while it was segmented; start again"):
+    with pytest.raises(ValueError, match=r"mine\.laz: changed while it was read; start again"):
         superpoints_of_files(mine, tmp_path / "out.laz", engine="loky:1")
     assert not (tmp_path / "out.laz").exists()
 

@@ -97,9 +97,9 @@ def live(
             played = _play(results, rate, every or int(show))
         result = results.compute(len(recording.frames), is_last=True)
         seen = recording.select_frames(played.keyframes)
-        tell_if_changed(scene, None, out, before)
         things = Scene(result.cloud.points, seen.frames, result.cloud.colors, name=recording.name, up=recording.up)
         write_result(partial, things, result.segmentation, config, str(scene), seconds=segmenter.stopwatch.seconds)
+        tell_if_changed(scene, None, out, before)
         add_to_segments(partial, {"lasting_ids": result.ids.tolist()})
     summarize(result.segmentation, out)
     if view is None:

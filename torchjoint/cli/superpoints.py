@@ -15,6 +15,7 @@ from torchjoint.datasets.files.clouds import read_cloud_file, up_of
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import SUFFIXES
 from torchjoint.datasets.files.ply import read_records, write_bytes, write_cloud
+from torchjoint.datasets.files.readers import unchanged
 from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.results.figures import cloud_figure
 from torchjoint.results.render import label_colors
@@ -93,9 +94,9 @@ def superpoints(
         raise ValueError(f"-o: expected a file that ends in .ply{more}, .npy or .npz, got {out}")
     made = output_file(out, overwrite, (cloud,))
     pictured = output_file(png, overwrite, (cloud,)) if picture else None
-    row = int(columns) if columns and columns.isdecimal() else columns
-    read = read_cloud_file(cloud, row, "keep")
-    records = read_records(cloud) if cloud.suffix.lower() == out.suffix == ".ply" else None
+    with unchanged(cloud):
+        read = read_cloud_file(cloud, int(columns) if columns and columns.isdecimal() else columns, "keep")
+        records = read_records(cloud) if cloud.suffix.lower() == out.suffix == ".ply" else None
     if records is not None:
         with damage_is(str(cloud)):
             records.check_new(NAME)

@@ -264,13 +264,13 @@ def segment_recording(
         if level is not None:
             result = result.at(level)
         level = 0.5 if level is None else level
-        tell_if_changed(path, masks, out, before)
         made = {"fingerprint": before[0], **options.record(config)}
         if masks is not None:
             made["masks"] = [str(masks.absolute()), without_masks]
         logger.info("writing %s", out)
         parts = clock.seconds
         write_result(partial, scene, result, config, str(path), level, made=made, seconds=parts, progress=progress)
+        tell_if_changed(path, masks, out, before)  # writing reads the frames once more
     return Segmented(result, segmenter, scene)
 
 

@@ -22,6 +22,7 @@ from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import las_chunks, las_library, laz_backend, open_las
 from torchjoint.datasets.files.ply import PlyRecords, read_records, write_bytes, write_cloud
+from torchjoint.datasets.files.readers import unchanged
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import portable_name
@@ -209,7 +210,8 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
     kinds = next((one for one in others if _check_kind(source) in one), last)
     if out.suffix.lower() not in kinds:
         raise ValueError(f"{out}: expected {' or '.join(kinds)} for {source.name}")
-    writers[kinds](source, out, result, name)
+    with unchanged(source):  # it is read twice, and the labels are those of the first
+        writers[kinds](source, out, result, name)
 
 
 def _label_mesh(source: Path, out: Path, result: Result, name: str) -> None:
@@ -240,18 +242,16 @@ def part_files(source: Path, folder: Path, result: Result) -> None:
     if _check_kind(source) in (*las.SUFFIXES, *text_clouds.SUFFIXES):
         told = f"give -o {folder.name}{source.suffix}, or write parts with `torchjoint export RESULT --format ply`"
         raise ValueError(f"{source}: expected a mesh or a .ply, for a folder of parts; {told}")
-    mesh = _read(source)
+    with unchanged(source):
+        mesh = _read(source)
+        parts = _records(source, mesh)
     folder.mkdir()
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
-        parts = _records(source, mesh)
         for segment in of_vertex[of_vertex >= 0].unique().tolist():
-            which, triangles = of_vertex == segment, None
-            if mesh.faces is not None:
-                inside = mesh.faces[which[mesh.faces].all(1)]
-                triangles = (which.cumsum(0) - 1)[inside].numpy()
-            file = folder / f"{file_stem(segment, result)}.ply"
-            file.write_bytes(parts.some_vertices(which.numpy(), triangles))
+            faces = mesh.chosen(which := of_vertex == segment).faces
+            content = parts.some_vertices(which.numpy(), None if faces is None else faces.numpy())
+            (folder / f"{file_stem(segment, result)}.ply").write_bytes(content)
 
 
 def _check_kind(source: Path) -> str:

@@ -22,7 +22,7 @@ from tqdm import tqdm
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files import clouds
 from torchjoint.datasets.files.las import COPC, SUFFIXES, check_no_copc
-from torchjoint.datasets.files.readers import fingerprint
+from torchjoint.datasets.files.readers import fingerprint, unchanged
 from torchjoint.engine import EngineLike, open_engine
 from torchjoint.results.labelled_file import check_dimension, has_dimension, write_labelled
 from torchjoint.runtime.archives import read_archive
@@ -118,16 +118,14 @@ def superpoints_of_files(
             settle(work / "result", out, work / "replaced")
         before = seen(out)
         _check_output(cloud, files, out, overwrite)  # again, because another run may have made it in the meantime
-        stats = [fingerprint(file) for file in files]
         now = [fingerprint(file, changed=True) for file in files]
         work_folder(work, repr((now, tile, buffer, config, MOST_POINTS, version("torchjoint"))))
         hidden = None if progress is None else not progress  # None: if there is no terminal
-        cut = _cut(files, work, tile, buffer, hidden)
-        _segment(cut, work, config, engine, hidden)
-        num_superpoints, labels = _stitch(cut, work)
-        _write(cloud, files, out, work, labels, hidden)
-        if [fingerprint(file) for file in files] != stats:
-            raise ValueError(f"{cloud}: changed while it was segmented; start again")
+        with unchanged(*files):
+            cut = _cut(files, work, tile, buffer, hidden)
+            _segment(cut, work, config, engine, hidden)
+            num_superpoints, labels = _stitch(cut, work)
+            _write(cloud, files, out, work, labels, hidden)
         held.check()
         made = work / "result" if cloud.is_dir() else work / "result" / out.name
         put(made, out, before, work / "replaced")  # all of them in one step

@@ -61,23 +61,29 @@ def las(path, record):
 
 
 @pytest.mark.parametrize(
-    ("record", "unit"),
+    ("record", "is_told"),
     [
-        (WktCoordinateSystemVlr('PROJCS["Texas",GEOGCS["NAD83"],UNIT["US survey foot",0.304800609601219]]'), "feet"),
-        (WktCoordinateSystemVlr(f'COMPD_CS["both",{UTM}],VERT_CS["NAVD88",UNIT["foot",0.3048]]]'), "feet"),
-        (keys(k1024=1, k3072=2277, k3076=9003), "feet"),
-        (WktCoordinateSystemVlr(f"{UTM}]"), None),
-        (keys(k1024=1, k3072=2056, k3076=9001), None),
+        (WktCoordinateSystemVlr('PROJCS["Texas",GEOGCS["NAD83"],UNIT["US survey foot",0.304800609601219]]'), True),
+        (WktCoordinateSystemVlr(f'COMPD_CS["both",{UTM}],VERT_CS["NAVD88",UNIT["foot",0.3048]]]'), True),
+        (WktCoordinateSystemVlr('PROJCS["Texas",GEOGCS["NAD83"],UNIT["ftUS",0.304800609601219]]'), True),
+        (WktCoordinateSystemVlr('PROJCRS["of a plant",CS[Cartesian,2],LENGTHUNIT["millimetre", 0.001]]'), True),
+        (keys(k1024=1, k3072=2277, k3076=9003), True),
+        (keys(k1024=1, k3072=32632, k3076=9001, k4099=9003), True),  # only heights
+        (keys(k1024=1, k3072=32767, k3076=1025), True),
+        (WktCoordinateSystemVlr(f"{UTM}]"), False),
+        (WktCoordinateSystemVlr('PROJCS["x",GEOGCS["y",UNIT["Degree",0.017453]],UNIT["Meter",1.0]]'), False),
+        (WktCoordinateSystemVlr('PROJCRS["x",CS[Cartesian,2],ANGLEUNIT["degree",0.0174],LENGTHUNIT["m",1]]'), False),
+        (keys(k1024=1, k3072=2056, k3076=9001, k4099=9001), False),
     ],
 )
-def test_lengths_that_are_no_metres(tmp_path, record, unit):
+def test_lengths_that_are_no_metres(tmp_path, record, is_told):
     path = las(tmp_path / "a.las", record)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         read_las(path)
         _bounds([path])
-    message = f"{path}: its coordinate system has {unit}; they are taken as metres"
-    assert [str(one.message) for one in told] == ([] if unit is None else [message] * 2)
+    message = f"{path}: its coordinate system has feet or other units; taken as metres"
+    assert [str(one.message) for one in told] == [message] * 2 * is_told
 
 
 @pytest.mark.parametrize(

@@ -36,8 +36,10 @@ CHUNK = 1_000_000
 HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
 #: Keys of GeoTIFF: the projected coordinate system, the geographic one, and their value if the code is not EPSG's.
 PROJECTED, GEOGRAPHIC, USER_DEFINED = 3072, 2048, 32767
-#: Keys of the kind of coordinates, 2 for degrees, and of the unit of lengths; the codes of feet.
-MODEL, LINEAR, FEET = 1024, 3076, range(9002, 9007)
+#: Keys of the kind of coordinates, 2 for degrees, and of the units of lengths and of heights; codes of metres, or none.
+MODEL, UNITS, METRES = 1024, (3076, 4099), (0, 9001, USER_DEFINED)
+#: In WKT, a unit that is neither an angle nor 1 metre.
+_NO_METRE = re.compile(r'\b(LENGTH)?UNIT\["(?!deg|grad|rad|gon|arc|dms)[^"]*",\s*(?!1(\.0*)?\s*[],])', re.I)
 #: The process that imported this module. One that is forked from it lacks the threads that lazrs waits for.
 _PROCESS = os.getpid()
 #: Set in the point format's number if the points are compressed.
@@ -77,17 +79,16 @@ def epsg_of(path: Path) -> int | None:
 
 
 def tell_unit(reader: Any, path: Path) -> bool:
-    """Warns if the coordinate system of an open file has feet, and returns whether; degrees are an error."""
+    """Warns if the coordinate system of an open file has no metres, and returns whether; degrees are an error."""
     text, keys = _system(reader)
     if re.match(r'\s*(COMP\w+\["[^"]*",\s*)?GEO\w+\[', text) or keys.get(MODEL) == 2:
         raise ValueError(
             f"{path}: expected a coordinate system in metres, got one in degrees; project it before, such as with "
             "`pdal translate IN.laz OUT.laz reprojection --filters.reprojection.out_srs=EPSG:25832`"
         )
-    has_feet = bool(re.search(r'UNIT\["[^"]*(foot|feet)', text, re.I)) or keys.get(LINEAR) in FEET
-    if has_feet:
-        warnings.warn(f"{path}: its coordinate system has feet; they are taken as metres", stacklevel=4)
-    return has_feet
+    if no_metre := bool(_NO_METRE.search(text)) or any(keys.get(unit, 0) not in METRES for unit in UNITS):
+        warnings.warn(f"{path}: its coordinate system has feet or other units; taken as metres", stacklevel=4)
+    return no_metre
 
 
 def _system(reader: Any) -> tuple[str, dict[int, int]]:
@@ -238,12 +239,12 @@ def _parse(head: bytes) -> LasHeader:
     version = head[24:26]
     if version[0] != 1 or version[1] > 5:
         raise ValueError(f"expected version 1.0 to 1.5, got {version[0]}.{version[1]}")
-    header_size, points_at, num_records, kind, record_size, num_points = struct.unpack_from("<HIIBHI", head, 94)
+    size, points_at, num_records, kind, record_size, num_points = struct.unpack_from("<HIIBHI", head, 94)
     extended_at = num_extended = 0
     if version[1] >= 4:
         extended_at, num_extended, wide = struct.unpack_from("<QIQ", head, 235)
         num_points = wide or num_points
-    if header_size < HEADER or points_at < header_size + RECORD * num_records:
+    if size < HEADER or points_at < size + RECORD * num_records:
         raise ValueError(f"the points begin at byte {points_at}, inside a header with {num_records} records")
     if record_size < 20:
         raise ValueError(f"expected points of at least 20 bytes, got {record_size}")
@@ -253,9 +254,7 @@ def _parse(head: bytes) -> LasHeader:
     if not all(map(math.isfinite, places)) or 0 in places[:3]:
         raise ValueError(f"expected finite scales other than 0 and finite offsets, got {places}")
     compressed = bool(kind & COMPRESSED)
-    return LasHeader(
-        header_size, points_at, num_records, record_size, num_points, compressed, extended_at, num_extended
-    )
+    return LasHeader(size, points_at, num_records, record_size, num_points, compressed, extended_at, num_extended)
 
 
 def _check_records(file: BinaryFile, header: LasHeader) -> None:

@@ -9,6 +9,7 @@ import struct
 import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Set
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -56,10 +57,8 @@ def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tu
                 how = str([tile.args for tile in image.tile])
                 image.load()
                 deep = {"RGB": 3, "RGBA": 3, "LA": 1}.get(image.mode, 0) if re.search(";16B|65535", how) else 0
-                if deep and (most := int(np.asarray(image)[..., :deep].max())) < DARK:
-                    raise ValueError(
-                        f"expected colours up to 65535, got less than {256 * (most + 1)}; make them 8 bits"
-                    )
+                if deep and (top := int(np.asarray(image)[..., :deep].max())) < DARK:
+                    raise ValueError(f"expected colours up to 65535, got less than {256 * (top + 1)}; make them 8 bits")
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
             Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
         # Pillow's own message names the buffer in memory.
@@ -143,9 +142,17 @@ def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = Fal
     beside = () if has_folder(path) else (path, *folder.parent.glob(f"*/{path.stem}.*"))
     has_others = has_folder(path) or path.suffix.lower() not in (".bin", ".pcd", ".png")
     near = {*files_below(folder, left_out), *_around(folder, left_out)} if has_others else ()
-    files = sorted({*near, *beside})
-    stats = [(str(file), *_size_and_time(file, changed)) for file in files]
+    stats = [(str(file), *_size_and_time(file, changed)) for file in sorted({*near, *beside})]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
+
+
+@contextmanager
+def unchanged(*files: Path) -> Iterator[None]:
+    """Raises ValueError if files are not what they were before, by size and time: for who reads them more than once."""
+    before = [_size_and_time(file, False) for file in files]
+    yield
+    if [_size_and_time(file, False) for file in files] != before:
+        raise ValueError(f"{', '.join(map(str, files[:9]))}: changed while it was read; start again")
 
 
 def _around(folder: Path, without: Set[str]) -> Iterator[Path]:
@@ -200,10 +207,9 @@ def _as_calibrated(image: Image.Image, camera_size: tuple[int, int] | None, name
     turn = image.getexif().get(ExifTags.Base.Orientation, 1)
     if turn not in range(2, 9):
         return image
-    if turn >= 5 and camera_size is not None:  # width and height are exchanged
-        wide = (image.width - image.height) * (camera_size[1] - camera_size[0])
-        if wide:
-            return image if wide > 0 else ImageOps.exif_transpose(image)
+    height, width = camera_size if camera_size is not None and turn >= 5 else (0, 0)  # both are exchanged
+    if wide := (image.width - image.height) * (width - height):
+        return image if wide > 0 else ImageOps.exif_transpose(image)
     raise ValueError(
         f"{name}: EXIF says that this image is to be turned (orientation {turn}), and it is not known whether its "
         "camera is that of the stored or of the turned image; turn the image, or remove its tag"
