@@ -523,10 +523,12 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     run("edits", "import", out, table)
     assert (out / "edits.json").read_bytes() == edits
     write([rows[0] | {"name": "", "points": "3"}, rows[2] | {"name": "garage"}])  # an old table of one more name
-    run("edits", "import", out, table)
+    with pytest.warns(UserWarning, match="1 empty names change nothing"):
+        run("edits", "import", out, table)
     assert tj.load_result(out).segment_names == {0: "house, old", 2: "garage"}
     write([rows[0], rows[2] | {"name": ""}])  # a table from before that name
-    run("edits", "import", out, table)
+    with pytest.warns(UserWarning, match=r"names\.csv: 1 empty names change nothing; the viewer removes names"):
+        run("edits", "import", out, table)
     assert tj.load_result(out).segment_names == {0: "house, old", 2: "garage"}
     write([rows[2] | {"name": "shed", "id": "2.0", "points": rows[2]["points"] + ".0"}])  # of pandas
     run("edits", "import", out, table)

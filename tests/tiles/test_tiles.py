@@ -248,11 +248,14 @@ def test_files_of_other_sizes_are_not_told(tmp_path, moved):
     survey(tiles_of(tmp_path / "parts", moved))
 
 
-def test_files_in_folders_in_it_are_told(cloud, tmp_path):
+@pytest.mark.parametrize("other", ["old/b.LAZ", "b.ply"])
+def test_files_in_folders_in_it_are_told(cloud, tmp_path, other):
     (tmp_path / "parts" / "old").mkdir(parents=True)
-    for name in ("a.laz", "old/b.LAZ"):
+    for name in ("a.laz", other):
         shutil.copy(cloud, tmp_path / "parts" / name)
-    with pytest.warns(UserWarning, match=r"parts: LAS and LAZ files in folders in it are not read, .*old/b\.LAZ"):
+    with pytest.warns(
+        UserWarning, match=rf"parts: only the \.las and \.laz files in it are read, .* such as .*{other}"
+    ):
         superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1")
 
 

@@ -8,7 +8,7 @@ import torch
 import tyro
 
 from torchjoint.cli.arguments import OptionalOut, output_file, output_files_in
-from torchjoint.cli.output import at_level
+from torchjoint.cli.output import at_level, tell_of_edits
 from torchjoint.datasets.files import las
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint
@@ -78,6 +78,7 @@ def export(
         return
     loaded = load_result(result, edits=not only_masked)
     if only_masked:
+        tell_of_edits(result, "--only-masked leaves corrections by hand out")
         loaded = select_masked(result, loaded)
     loaded = at_level(result, loaded, granularity)
     is_laz = format == "las" and read_origin(result).scene.lower().endswith(".laz")

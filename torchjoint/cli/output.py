@@ -38,13 +38,17 @@ def printed_log() -> Iterator[None]:
         logger.setLevel(level)
 
 
+def tell_of_edits(result: Path, told: str) -> None:
+    """Warns if a result has corrections."""
+    if has_file(result / EDITS) and read_json(result / EDITS, "a list of edits")["edits"]:
+        warnings.warn(f"{result / EDITS}: {told}", stacklevel=4)
+
+
 def at_level(result: Path, loaded: Result, granularity: float | None) -> Result:
     """A result at another level, with a warning if this leaves corrections out; None: as it is."""
     if granularity is None:
         return loaded
-    if has_file(result / EDITS) and read_json(result / EDITS, "a list of edits")["edits"]:
-        told = "--granularity gives a level without joins and splits; names stay"
-        warnings.warn(f"{result / EDITS}: {told}", stacklevel=3)
+    tell_of_edits(result, "--granularity gives a level without joins and splits; names stay")
     found = loaded.at(granularity)
     if names_of_masks(result) and found.num_point_segments > loaded.num_point_segments:
         told = "smaller things have the names of those that they are parts of; segment --granularity votes on names"

@@ -3,6 +3,7 @@
 import csv
 import io
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
@@ -174,12 +175,13 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
         raise ValueError(f"{file}: expected the columns id, name and points of `export --format csv`, got {header!r}")
     found = np.unique(result.points[result.points >= 0].numpy(), return_counts=True)
     sizes = dict(zip(*(each.tolist() for each in found), strict=True))
-    names = []
+    names, emptied = [], 0
     with damage_is(str(file), csv.Error):
         for row in table:
             segment, points = (_count(row[column] or "") for column in ("id", "points"))
             name = printable((row["name"] or "").strip()).removeprefix("'")  # csv_text's, before what would be computed
             if name in ("", result.segment_names.get(segment, "")):
+                emptied += not name and segment in result.segment_names
                 continue
             told = f"line {table.line_num}: {name!r}: segment {(row['id'] or '')[:20]}"
             if segment not in sizes:
@@ -187,6 +189,8 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
             if sizes[segment] != points:
                 raise ValueError(f"{told}: {sizes[segment]} points, the table says {points}; export it again")
             names.append((segment, name))
+    if emptied:
+        warnings.warn(f"{file}: {emptied} empty names change nothing; the viewer removes names", stacklevel=3)
     return dict_of(names, f"{file}: id")
 
 

@@ -128,10 +128,8 @@ class Hierarchy:
         if (known[1:] > known.cummax(0).values[:-1] + 1).any():
             raise ValueError("superpoint: expected numbers by first appearance, 0, 1, ... without gaps")
         if self.merges.shape != (len(self.heights), 2) or len(self.heights) >= self.num_superpoints:
-            raise ValueError(
-                f"merges: expected shape [M, 2] with M = {len(self.heights)} heights below {self.num_superpoints} "
-                f"superpoints, got {list(self.merges.shape)}"
-            )
+            told = f"with M = {len(self.heights)} heights below {self.num_superpoints} superpoints"
+            raise ValueError(f"merges: expected shape [M, 2] {told}, got {list(self.merges.shape)}")
         if self.merges.numel() and not 0 <= int(self.merges.min()) <= int(self.merges.max()) < self.num_superpoints:
             came = f"got {int(self.merges.min())} to {int(self.merges.max())}"
             raise ValueError(f"merges: expected superpoints in [0, {self.num_superpoints}), {came}")

@@ -60,9 +60,8 @@ class Masks:
         if self.pairs.numel():
             low, high = self.pairs.amin(1).tolist(), self.pairs.amax(1).tolist()
             if min(low) < 0 or high[0] >= self.num_atoms or high[1] >= len(self):
-                raise ValueError(
-                    f"pairs: expected atoms below {self.num_atoms} and masks below {len(self)}, got {low} to {high}"
-                )
+                told = f"atoms below {self.num_atoms} and masks below {len(self)}"
+                raise ValueError(f"pairs: expected {told}, got {low} to {high}")
 
     @classmethod
     @on_cpu()
@@ -279,7 +278,6 @@ def _as_scores(scores: Tensor | None, count: int, name: str) -> Tensor:
     scores = as_float(scores, name, torch.float32).clone()
     check_shape(scores, (count,), name)
     if count and not 0 <= float(scores.min()) <= float(scores.max()) <= 1:
-        raise ValueError(
-            f"{name}: expected numbers in [0, 1], got {float(scores.min()):.4g} to {float(scores.max()):.4g}"
-        )
+        came = f"{float(scores.min()):.4g} to {float(scores.max()):.4g}"
+        raise ValueError(f"{name}: expected numbers in [0, 1], got {came}")
     return scores

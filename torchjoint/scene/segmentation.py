@@ -165,9 +165,8 @@ class Segmentation:
             TypeError: `granularity` is not a number.
         """
         if self.hierarchy is None:
-            raise ValueError(
-                "hierarchy: expected a segmentation with levels, got one level, as of point_segments.method paper"
-            )
+            told = "expected a segmentation with levels, got one level, as of point_segments.method paper"
+            raise ValueError(f"hierarchy: {told}")
         of_superpoint = self.hierarchy.segments_of_superpoints(self.hierarchy.height_of(granularity))
         points = with_none(of_superpoint)[self.hierarchy.superpoint]
         images: Sequence[Tensor] = ()

@@ -149,8 +149,11 @@ def _files(cloud: Path) -> list[Path]:
         raise ValueError(f"{cloud}: expected a .las or .laz file, or a folder of them")
     if not cloud.is_dir():
         return [cloud]
-    if below := sorted(file for file in cloud.glob("*/*") if file.suffix.lower() in SUFFIXES):
-        warnings.warn(f"{cloud}: LAS and LAZ files in folders in it are not read, such as {below[0]}", stacklevel=3)
+    below = [file for file in cloud.glob("*/*") if file.suffix.lower() in SUFFIXES]
+    others = [file for file in cloud.iterdir() if file.suffix.lower() in (".ply", ".pcd", ".e57")]
+    if others or below:
+        told = "only the .las and .laz files in it are read, not those in folders, nor other clouds, such as"
+        warnings.warn(f"{cloud}: {told} {min(below + others)}", stacklevel=3)
     return _in_folder(cloud)
 
 

@@ -61,7 +61,7 @@ def test_what_programs_write(tmp_path, name, data):
 def test_a_column_that_counts_the_rows_is_no_coordinate(tmp_path, first):
     count = np.arange(first, first + 30.0)[:, None]
     (tmp_path / "a.txt").write_text(text(count, XYZ, RGB))
-    with pytest.warns(UserWarning, match=r"^the first column counts the rows, and is not read; --columns xyz"):
+    with pytest.warns(UserWarning, match=r"^the first column counts the rows, and is not read; a first line of names"):
         read = read_cloud_file(tmp_path / "a.txt")
     np.testing.assert_array_equal(read.points, XYZ)
     np.testing.assert_allclose(read.colors, RGB / 255, atol=1e-6)
@@ -107,17 +107,34 @@ def test_what_cannot_be_read(tmp_path, data, message):
 
 
 @pytest.mark.parametrize(
-    "head", ["z [m],y [m],x [m]", "z (m);y (m);x (m)", "# z y x", "// by a program of x, y, z\n//z,y,x"]
+    "head",
+    [
+        "z [m],y [m],x [m]",
+        "z (m);y (m);x (m)",
+        "# z y x",
+        "// by a program of x, y, z\n//z,y,x",
+        "Height Northing Easting",
+        "H;N;E",
+    ],
 )
 def test_names_with_units(tmp_path, head):
     (tmp_path / "a.csv").write_text(f"{head}\n1,2,3\n")
     assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[3, 2, 1]]
 
 
-@pytest.mark.parametrize("head", ["x [mm],y [mm],z [mm]", "# X(ft) Y(ft) Z(ft)", "x (deg);y (deg);z (m)"])
+@pytest.mark.parametrize(
+    "head",
+    [
+        "x [mm],y [mm],z [mm]",
+        "# X(ft) Y(ft) Z(ft)",
+        "x (deg);y (deg);z (m)",
+        "x [usft],y [usft],z [usft]",
+        "e (US survey feet),n (US survey feet),h (m)",
+    ],
+)
 def test_units_that_are_no_metres(tmp_path, head):
     (tmp_path / "a.csv").write_text(f"{head}\n1,2,3\n")
-    with pytest.warns(UserWarning, match=r"(?i)a\.csv: x ?.(mm|ft|deg).: taken as metres"):
+    with pytest.warns(UserWarning, match=r"(?i)a\.csv: [xe] ?.(mm|ft|deg|usft|us survey feet).: taken as metres"):
         assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1, 2, 3]]
 
 

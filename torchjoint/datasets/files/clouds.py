@@ -81,11 +81,9 @@ def _opaque(opacities: Tensor, least: float, path: Path) -> Tensor:
     if not bool(enough.any()):
         raise ValueError(f"{path}: all {len(enough)} splats are fainter than --least-opacity (least_opacity) {least:g}")
     if not bool(enough.all()):
-        warnings.warn(
-            f"{path}: {int((~enough).sum())} of {len(enough)} splats are fainter than an opacity of {least:g} and are "
-            "left out; `torchjoint label` gives them the label of the nearest point",
-            stacklevel=4,
-        )
+        told = f"{int((~enough).sum())} of {len(enough)} splats are fainter than an opacity of {least:g}"
+        way_out = "they are left out; `torchjoint label` gives them the label of the nearest point"
+        warnings.warn(f"{path}: {told}; {way_out}", stacklevel=4)
     return enough
 
 

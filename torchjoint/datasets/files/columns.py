@@ -21,7 +21,8 @@ from torchjoint.scene.cloud import full_brightness
 
 Array = npt.NDArray[Any]
 
-POINTS = (("x", "y", "z"),)
+#: The first names are those of most files, the others those of surveys.
+POINTS = (("x", "y", "z"), ("e", "n", "h"), *(("easting", "northing", up) for up in ("z", "height", "elevation")))
 COLORS = tuple(
     tuple(f"{prefix}{color}" for color in colors)
     for colors in (("red", "green", "blue"), ("r", "g", "b"))

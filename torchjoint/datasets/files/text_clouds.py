@@ -23,7 +23,8 @@ from torchjoint.scene.checks import tell_half
 SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
 #: A unit behind the name of a column: x [m], x (m); one of places that is no metre.
 _UNIT = re.compile(r"\[[^]]*\]|\([^)]*\)")
-_NO_METRE = re.compile(rb"\b[xyz] ?[\[(] ?(([cmk]|milli|centi)m\w*|f(ee|oo)?t|us-ft|in|inch\w*|deg\w*) ?[\])]", re.I)
+_UNITS = rb"([cmk]|milli|centi)m\w*|(us[- ]?)?(survey )?f(ee|oo)?t|in|inch\w*|deg\w*"
+_NO_METRE = re.compile(rb"\b([xyzenh]|easting|northing|elevation|height) ?[\[(] ?(" + _UNITS + rb") ?[\])]", re.I)
 #: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.
 MOST_COLUMNS = 16
 #: The names of columns that are read of rows without names.
@@ -101,7 +102,7 @@ def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int |
         line = _UNIT.sub("", line.lstrip("#/ ")).removesuffix(mark or " ")
         words = [word.strip() for word in line.split(mark)]
         if words and (is_comment or not _is_number(words[0] or words[-1])):
-            if {plain(word) for word in words}.issuperset(POINTS[0]):
+            if any({plain(word) for word in words}.issuperset(axes) for axes in POINTS):
                 names = words
             elif not is_comment:
                 told = f"{name}: line {number}: expected numbers, or names of columns with x, y and z"
@@ -170,7 +171,7 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
         tell_half(float(np.nanmax(np.abs(rows[:, :3]), initial=0)), torch.float16, "points")
     rows = rows.astype(np.float64)
     if _is_count(rows):
-        told = "the first column counts the rows, and is not read; --columns xyz... names the columns"
+        told = "the first column counts the rows, and is not read; a first line of names (x y z red ...) tells others"
         warnings.warn(told, stacklevel=3)
         rows = rows[:, 1:]
     names, found = ["x", "y", "z"], ["x y z"]

@@ -116,10 +116,8 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
 def _check_poses(bag: Bag, topics: _Topics, poses: messages.Poses, frame: str) -> None:
     """A camera whose poses are missing must not count as one that stands still."""
     if topics.points is not None and poses.root(of_points := _frame(bag.first(topics.points))) != poses.root(frame):
-        raise ValueError(
-            f"{bag.path}: expected one tree of tf, got no pose between frame {frame!r} of {topics.color} and frame "
-            f"{of_points!r} of {topics.points}; record /tf and /tf_static"
-        )
+        told = f"between frame {frame!r} of {topics.color} and frame {of_points!r} of {topics.points}"
+        raise ValueError(f"{bag.path}: expected one tree of tf, got no pose {told}; record /tf and /tf_static")
     if poses.moves(frame) or len(bag.stamps(topics.color)) < 2:
         return
     way_out = "if it stood still, --topics odometry=none says so"
@@ -130,11 +128,9 @@ def _check_poses(bag: Bag, topics: _Topics, poses: messages.Poses, frame: str) -
             f"{f'none in {topics.odometry}' if topics.odometry else 'none'}; record them, or name their topic "
             f"(--topics odometry=TOPIC); {way_out}"
         )
-    warnings.warn(
-        f"{bag.path}: no pose changes: according to tf the camera, frame {frame!r}, stands still in frame "
-        f"{poses.root(frame)!r}; if it moved, its poses are missing (--topics odometry=TOPIC); {way_out}",
-        stacklevel=3,
-    )
+    told = f"according to tf the camera, frame {frame!r}, stands still in frame {poses.root(frame)!r}"
+    way_out = f"if it moved, its poses are missing (--topics odometry=TOPIC); {way_out}"
+    warnings.warn(f"{bag.path}: no pose changes: {told}; {way_out}", stacklevel=3)
 
 
 def _only(role: str, found: Sequence[str], chosen: Mapping[str, str], bag: Bag) -> str | None:
@@ -157,7 +153,7 @@ def _frames(bag: Bag, topics: _Topics, poses: messages.Poses, limit: float) -> S
     depths = [] if topics.depth is None else bag.stamps(topics.depth)
     depth_of = dict(associate([one.time for one in colors], [one.time for one in depths], limit))
     at = poses.world_from(_frame(bag.first(topics.color)), [one.time for one in colors])
-    kept = posed(list(enumerate(at)), str(bag.path), "tf or odometry", limit)
+    kept = posed(list(enumerate(at)), str(bag.path), "tf or odometry; --time-limit", limit)
     rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
     info = bag.first(topics.info)
     changed = [repr(messages.matrices_of(one)) != repr(messages.matrices_of(info)) for one in bag.messages(topics.info)]
