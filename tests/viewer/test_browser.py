@@ -833,3 +833,21 @@ def colorful(page, index):
 
 def lit(page, index):
     return int(colorful(page, index).sum())
+
+
+def test_a_tap_selects_in_the_shared_page(browser, out, run, tmp_path):
+    run("show", out, "--static", tmp_path / "page.html")
+    context = browser.new_context(viewport={"width": 390, "height": 844}, is_mobile=True, has_touch=True)
+    page = context.new_page()
+    page.set_default_timeout(1000 * PATIENCE)
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_selector("canvas")
+    page.wait_for_timeout(3000)  # it is as large as the page allows
+    inside = ndimage.binary_erosion(np.ptp(pixels(page)[:600], axis=2) > 40, iterations=3)
+    row, column = np.argwhere(inside)[inside.sum() // 2].tolist()
+    points = "document.querySelector('.js-plotly-plot').on('plotly_click', (e) => (window.text = e.points[0].text))"
+    page.evaluate(f"() => {{ {points} }}")
+    page.touchscreen.tap(column, row)
+    wait(lambda: page.inner_text("#told").startswith("segment"))
+    assert page.inner_text("#told") == page.evaluate("window.text")
+    context.close()

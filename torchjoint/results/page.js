@@ -99,13 +99,22 @@ clear.addEventListener("click", () => select(-1));
 // Plotly's own click also comes when the cloud is turned: only a press that does not move counts.
 let under = null; // the point under the mouse
 let pressed = null;
+let tapped = -Infinity; // when a finger did not move; only Plotly's own click tells its point, after that
+let last; // a timer: of several such clicks the first may tell the point of an earlier one
+const choose = (point) => select(now().ids[pieces[point]]);
 plot.on("plotly_hover", (event) => (under = event.points[0].pointNumber));
 plot.on("plotly_unhover", () => (under = null));
+plot.on("plotly_click", (event) => {
+  if (performance.now() - tapped > 3000) return;
+  clearTimeout(last);
+  last = setTimeout((point) => { tapped = -Infinity; choose(point); }, 200, event.points[0].pointNumber);
+});
 plot.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]), true);
 window.addEventListener("pointerup", (event) => {
   const moved = pressed === null || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 4;
   pressed = null;
-  if (!moved && under !== null) select(now().ids[pieces[under]]);
+  if (!moved && event.pointerType === "touch") tapped = performance.now();
+  else if (!moved && under !== null) choose(under);
 }, true);
 // The cloud takes what the other elements leave, and is as large as it allows; all but outliers are inside.
 function fit() {
