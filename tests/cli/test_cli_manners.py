@@ -92,6 +92,10 @@ def test_a_result_has_a_name_by_default(run, scene_of, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run("segment", "kitchen")
     assert (tmp_path / "kitchen-result" / "points.ply").is_file()
+    run("label", "kitchen-result", "kitchen/cloud.ply")
+    assert (tmp_path / "cloud-labelled.ply").is_file()
+    run("batch", "kitchen", "--engine", "loky:1")
+    assert (tmp_path / "results" / "kitchen" / "points.ply").is_file()
 
 
 def test_parameters_of_one_stage(run, capsys):

@@ -4,7 +4,7 @@ import sys
 
 import tyro
 
-from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, Out
+from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, OptionalOut
 from torchjoint.cli.output import printed_log
 from torchjoint.recordings import BatchReport
 from torchjoint.recordings import batch as run_batch
@@ -17,7 +17,7 @@ MOST_PRINTED, MOST_CHARACTERS = 20, 160
 
 def batch(
     scenes: tyro.conf.Positional[tuple[str, ...]],
-    out: Out,
+    out: OptionalOut = None,
     parameters: Flat = DEFAULTS,
     reading: FlatReading = AS_IT_IS,
     engine: str = "loky",
@@ -31,7 +31,7 @@ def batch(
 
     Args:
         scenes: recordings, patterns ('scans/*'), the folder of a data set, or a .txt file that lists any of these.
-        out: folder for the results, summary.csv and failures.csv.
+        out: folder for the results, summary.csv and failures.csv; default: results.
         parameters: parameters of the method.
         reading: how recordings are read.
         engine: loky, dask or ray for this machine (loky:4: with 4 workers), dask://HOST:PORT or ray://HOST:PORT for a
@@ -42,7 +42,7 @@ def batch(
     with printed_log():
         report = run_batch(
             scenes,
-            out,
+            out or "results",
             engine=engine,
             threads=threads,
             config=parameters.config(),

@@ -1,11 +1,10 @@
 """torchjoint label: puts the labels of a result into a cloud, a survey, a mesh or Gaussian splats."""
 
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
-from torchjoint.cli.arguments import output_file, output_files_in
+from torchjoint.cli.arguments import OptionalOut, output_file, output_files_in
 from torchjoint.cli.output import at_level
 from torchjoint.datasets.files import las, text_clouds
 from torchjoint.datasets.files.clouds import SUFFIXES
@@ -18,7 +17,7 @@ from torchjoint.runtime.messages import say
 def label(
     result: tyro.conf.Positional[Path],
     file: tyro.conf.Positional[Path],
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    out: OptionalOut = None,
     granularity: float | None = None,
     name: str = "label",
     overwrite: bool = False,
@@ -35,7 +34,8 @@ def label(
         out: .ply: FILE with labels of its vertices and triangles; all else in a .ply stays, to the byte. .las, .laz:
             FILE with the dimensions `label` and `confidence`, or NAME and NAME_confidence; all else stays. .csv, .txt,
             .xyz, .asc, .pts: the rows of FILE with one more column. .glb: the mesh in the colours of the segments, one
-            node for each. A folder: a .ply for each segment, with all properties of FILE's vertices.
+            node for each. A folder: a .ply for each segment, with all properties of FILE's vertices. Default:
+            FILE-labelled with the suffix of FILE, or .ply.
         granularity: another level than RESULT holds, 0 (coarse) to 1 (fine), without joins and splits by hand; not with
             method paper.
         name: of the property of the labels in a .ply, of the dimension in a .las, or of the column in text.
@@ -46,6 +46,7 @@ def label(
         raise FileNotFoundError(f"{file} does not exist; the cloud of this result is {cloud}")
     loaded = at_level(result, load_result(result), granularity)
     kinds = ".ply", ".glb", *las.SUFFIXES, *text_clouds.SUFFIXES
+    out = out or Path(f"{file.stem}-labelled{file.suffix if file.suffix.lower() in kinds else '.ply'}")
     is_file = out.suffix.lower() in kinds
     if not is_file and out.suffix.lower() in SUFFIXES and not out.is_dir():
         raise ValueError(f"-o: expected a file that ends in {', '.join(kinds)}, or a folder, got {out}")
