@@ -12,6 +12,7 @@ from folder_files import write_folder, write_truth
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.datasets import fusion
 from torchjoint.datasets.cameras import invert_pose
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.ply import write_cloud
@@ -130,6 +131,28 @@ def test_depth_of_equal_size_and_time_is_fused_anew(tmp_path, synthetic, monkeyp
             stream.truncate(before.st_size)  # zeros after the end of a PNG are ignored
         os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert len(tj.load_scene(recording, voxel_size=0.05).points) < len(fused.points)
+
+
+def test_a_recording_that_is_exchanged_while_it_is_fused(tmp_path, synthetic, monkeypatch):
+    """Its cloud was found in the cache when the first recording was back in its place."""
+    recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
+    other = shutil.copytree(recording, tmp_path / "other")
+    for file in other.glob("*.depth.png"):
+        Image.fromarray(np.where(np.arange(160) < 80, np.array(Image.open(file)), 0).astype(np.uint16)).save(file)
+    fused, fuse = tj.load_scene(recording, voxel_size=0.05), fusion._fuse
+    monkeypatch.setenv("TORCHJOINT_CACHE", str(tmp_path / "cache"))
+
+    def exchanged(*arguments):
+        recording.rename(tmp_path / "away")
+        other.rename(recording)
+        return fuse(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(fusion, "_fuse", exchanged)
+        tj.load_scene(recording, voxel_size=0.05)
+    recording.rename(other)
+    (tmp_path / "away").rename(recording)
+    assert torch.equal(tj.load_scene(recording, voxel_size=0.05).points, fused.points)
 
 
 def test_a_cloud_that_is_fused_far_from_the_origin_is_as_exact(synthetic):

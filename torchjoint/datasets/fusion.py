@@ -172,10 +172,11 @@ def fuse_or_recall(
     Returns:
         points [N, 3] metres and colours [N, 3] in [0, 1]; the same with and without the cache.
     """
-    folder, file, kept = cache_folder(), None, {}
+    folder, file, kept, known = cache_folder(), None, {}, ""
     if folder is not None:
-        key = repr((fingerprint(path, changed=True), float(voxel_size), version("torchjoint"), how))
-        file = folder / "clouds" / hashlib.sha256(key.encode()).hexdigest()
+        known = fingerprint(path, changed=True)
+        key = repr((known, float(voxel_size), version("torchjoint"), how)).encode()
+        file = folder / "clouds" / hashlib.sha256(key).hexdigest()
         with suppress(OSError, ValueError):  # it is not there, or damaged: it is written anew
             kept = read_values(file)
     if kept:
@@ -183,7 +184,7 @@ def fuse_or_recall(
     else:
         kept = _fuse(frames, voxel_size, progress, str(path))
         with suppress(OSError):  # the disk is full, or there is no permission: the cloud is fused again next time
-            if file is not None:
+            if file is not None and known == fingerprint(path, changed=True):  # else it is the cloud of other frames
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_values(file, kept)
     if kept["without"]:

@@ -114,10 +114,8 @@ def read_camera(frame: Record, color: Path) -> Camera:
         frame = Record({**frame.values, **dict(named)}, frame.name)
     model = frame.text("camera_model", "OPENCV")
     if model not in _MODELS:
-        known = ", ".join(_MODELS)
-        raise ValueError(
-            f"{frame.name}: camera_model: expected one of {known}, got {model!r}; undistort the images first"
-        )
+        told = f"{frame.name}: camera_model: expected one of {', '.join(_MODELS)}, got {model!r}"
+        raise ValueError(f"{told}; undistort the images first")
     said = frame.values["is_fisheye"] if "is_fisheye" in frame else False
     if said not in (True, False):
         raise ValueError(f"{frame.name}: is_fisheye: expected true or false, got {str(said)[:60]!r}")
