@@ -418,6 +418,7 @@ def test_reset_view(viewer, page):
     before = view()
     page.get_by_role("button", name="Stand at this camera").click()
     wait(lambda: np.abs(view() - before).max() > 0.1)
+    wait(lambda: viewer._eyes._arrived)  # before that, the page may still tell where it was
     page.get_by_role("button", name="Reset view").click()
     wait(lambda: np.abs(view() - before).max() < 1e-3)
 
@@ -714,8 +715,11 @@ def test_the_cloud_grows_while_frames_come(browser, scene_of, tmp_path):
     assert len(second.cloud.points) > len(first.cloud.points)
     assert thing in second.ids
     view.camera(frames[-1])
+    (seen_from,) = view.viewer._eyes._fitted.values()
     view.show(second, tj.Scene(first.cloud.points, frames), "after all frames")
     wait(lambda: "after all frames" in page.inner_text("#tj-note"))
+    wait(lambda: sees_all(view.viewer))
+    assert np.abs(view.viewer.server.get_clients().popitem()[1].camera.position - seen_from[0]).max() > 0.01
     (segment,) = view.viewer.model.selected  # the same thing
     assert view.viewer.model.key(segment) == thing
     assert np.array_equal(superpoint_colors(view.viewer.model)[segment], color)

@@ -118,9 +118,7 @@ def _survey(result: Path) -> Path | None:
     # The record may come from others, and name any file: who did not segment it does not know its fingerprint.
     if source.is_file() and fingerprint(source) == origin.fingerprint:
         return source
-    warnings.warn(
-        f"{source}: not there any more, or changed since; OUT has neither its coordinate system nor its other "
-        "dimensions; `torchjoint label RESULT FILE -o OUT.laz` puts the labels into the file as it is now",
-        stacklevel=3,
-    )
+    told = "not there any more, or changed since; OUT has neither its coordinate system nor its other dimensions"
+    way_out = "`torchjoint label RESULT FILE -o OUT.laz` puts the labels into the file as it is now"
+    warnings.warn(f"{source}: {told}; {way_out}", stacklevel=3)
     return None

@@ -228,11 +228,8 @@ def plan_tiles(survey: Survey, size: float | None, buffer: float, most_points: i
     done.sort()
     largest = max(_points(sums, tile, rim) for tile in done)
     if largest > 2 * most_points:
-        warnings.warn(
-            f"a tile holds {largest} points and needs more memory: its halves would be narrower than {NARROWEST} "
-            "buffers; choose a smaller --buffer",
-            stacklevel=2,
-        )
+        told = f"a tile holds {largest} points and needs more memory: its halves would be narrower than {NARROWEST}"
+        warnings.warn(f"{told} buffers; choose a smaller --buffer", stacklevel=2)
     of_cell = np.full(survey.counts.shape, -1, np.int32)
     for number, tile in enumerate(done):
         of_cell[tile.first[0] : tile.end[0], tile.first[1] : tile.end[1]] = number

@@ -120,6 +120,7 @@ class Viewer:
             self._cloud.remove()
             self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(model))
             self._cloud.resize(self._panel.size.value)
+            self._eyes.show_more(result.scene)
             if shown is None:
                 self._draw_lists()
             else:

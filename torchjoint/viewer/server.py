@@ -124,6 +124,13 @@ class Eyes:
             client.camera.up_direction, client.camera.fov = self._up, fov
             client.camera.position, client.camera.look_at = position, target
 
+    def show_more(self, scene: Scene) -> None:
+        """Shows the whole of a cloud that has grown on the pages that nobody has turned."""
+        for client in self._server.get_clients().values():
+            fitted_at, _ = self._fitted.get(client.client_id, (np.inf, 0.0))
+            if np.abs(fitted_at - client.camera.position).max() < 1e-3 * self._distance:
+                self.show_all(client, scene)
+
     def stand_at(self, client: Any, view: Viewpoint, photo: Bytes, is_dark: bool) -> None:
         """Lets a page, which may be dark, look from a viewpoint, with the photo behind the cloud."""
         aspect = client.camera.aspect
