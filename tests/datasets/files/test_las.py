@@ -69,6 +69,7 @@ def las(path, record):
         (WktCoordinateSystemVlr('PROJCRS["of a plant",CS[Cartesian,2],LENGTHUNIT["millimetre", 0.001]]'), True),
         (keys(k1024=1, k3072=2277, k3076=9003), True),
         (keys(k1024=1, k3072=2263), True),  # by EPSG, of New York
+        (keys(k1024=1, k3072=25832, k4096=6360), True),
         (keys(k1024=1, k3072=32632, k3076=9001, k4099=9003), True),  # only heights
         (keys(k1024=1, k3072=32767, k3076=1025), True),
         (WktCoordinateSystemVlr(f"{UTM}]"), False),

@@ -38,8 +38,8 @@ HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
 PROJECTED, GEOGRAPHIC, USER_DEFINED = 3072, 2048, 32767
 #: Keys of the kind of coordinates, 2 for degrees, and of the units of lengths and of heights; codes of metres, or none.
 MODEL, UNITS, METRES = 1024, (3076, 4099), (0, 9001, USER_DEFINED)
-#: EPSG's codes of NAD83 in feet, by states of the US.
-IN_FEET = range(2222, 2290)
+#: EPSG's codes in feet: NAD83, by states of the US; heights, NAVD88; the key of the system of heights.
+IN_FEET, HEIGHTS_IN_FEET, VERTICAL = range(2222, 2290), (6360, 8228), 4096
 #: In WKT, a unit that is neither an angle nor 1 metre.
 _NO_METRE = re.compile(r'\b(LENGTH)?UNIT\["(?![^"]*(deg|grad|rad|gon|arc|dms))[^"]*",\s*(?!1(\.0*)?\s*[],])', re.I)
 #: The process that imported this module. One that is forked from it lacks the threads that lazrs waits for.
@@ -88,7 +88,7 @@ def tell_unit(reader: Any, path: Path) -> bool:
             f"{path}: expected a coordinate system in metres, got one in degrees; project it before, such as with "
             "`pdal translate IN.laz OUT.laz reprojection --filters.reprojection.out_srs=EPSG:25832`"
         )
-    has_feet = keys.get(PROJECTED) in IN_FEET or bool(_NO_METRE.search(text))
+    has_feet = keys.get(PROJECTED) in IN_FEET or keys.get(VERTICAL) in HEIGHTS_IN_FEET or bool(_NO_METRE.search(text))
     if no_metre := has_feet or any(keys.get(unit, 0) not in METRES for unit in UNITS):
         warnings.warn(f"{path}: its coordinate system has feet or other units; taken as metres", stacklevel=4)
     return no_metre
