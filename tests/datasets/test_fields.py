@@ -370,7 +370,7 @@ def test_scans_of_an_e57(tmp_path, bare):
 
 
 def e57_of(path, scans):
-    """Writes scans, each of fields and the numbers of its pose and limits, as other programs do: in any order, of any type."""
+    """Writes scans, each of fields, and the numbers of its pose and limits, in any order, as other programs do."""
     pye57 = pytest.importorskip("pye57")
     kind = pye57.libe57
     with pye57.E57(str(path), mode="w") as file:
