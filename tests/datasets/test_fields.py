@@ -370,7 +370,7 @@ def test_scans_of_an_e57(tmp_path, bare):
 
 
 def e57_of(path, scans):
-    """Writes scans, each of fields and the numbers of its pose, as other programs do: in any order, of any type."""
+    """Writes scans, each of fields, and the numbers of its pose and limits, in any order, as other programs do."""
     pye57 = pytest.importorskip("pye57")
     kind = pye57.libe57
     with pye57.E57(str(path), mode="w") as file:
@@ -382,7 +382,7 @@ def e57_of(path, scans):
                 node = kind.StructureNode(image)
                 for axis, number in numbers:
                     node.set(axis, kind.FloatNode(image, number))
-                poses.set(part, node)
+                (scan if part == "colorLimits" else poses).set(part, node)
             scan.set("pose", poses)
             for name, values in fields.items():
                 columns.set(name, kind.FloatNode(image, 0.0, kind.E57_DOUBLE, -1e9, 1e9))
@@ -410,6 +410,14 @@ def test_wide_colours_of_an_e57(tmp_path, full):
     none = {name: values[:0] for name, values in fields.items()}
     made = read_cloud_file(e57_of(tmp_path / "a.e57", [(none, {}), (fields, {})]))
     np.testing.assert_allclose(made.colors, RGB / 255, atol=1e-6)
+
+
+@pytest.mark.parametrize(("full", "limit"), [(65535, 255), (1, 255), (1, 65535)])
+def test_an_e57_whose_colours_have_limits_of_another_type(tmp_path, full, limit):
+    fields = e57_fields(XYZ, E57_XYZ) | e57_fields(RGB / 255 * full, E57_RGB)
+    limits = [(f"{name}{end}", value) for name in E57_RGB for end, value in (("Minimum", 0.0), ("Maximum", limit))]
+    made = read_cloud_file(e57_of(tmp_path / "a.e57", [(fields, {"colorLimits": limits})]))
+    assert np.abs(made.colors.numpy() - RGB / 255).max() < 1e-3
 
 
 def test_invalid_colours_of_an_e57(tmp_path):

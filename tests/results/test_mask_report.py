@@ -15,7 +15,7 @@ from torchjoint.datasets.files.ply import read_ply
 from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports.boxes import export_csv
 from torchjoint.results.inputs import write_inputs
-from torchjoint.results.mask_report import count_masks, names_of_masks
+from torchjoint.results.mask_report import count_masks, names_of_masks, select_masked
 from torchjoint.results.parts import Parts, edited
 from torchjoint.scene import LabelImages
 
@@ -148,6 +148,17 @@ class TestARun:
         loaded = replace(loaded, segment_names={alone: "far"})
         steps = (Edit("name", (0,), "sofa"),)
         assert edited(loaded, Edits(parts.count, steps=steps)).segment_names == {0: "sofa", alone: "far"}
+        last = edited(loaded, Edits(parts.count, steps=(Edit("split", (parts.largest(parts.of_point),)),)))
+        for other in (last, loaded.at(0), loaded.at(1), last.at(1)):
+            assert other.segment_names == {other.num_point_segments: "far"}
+
+    def test_images_without_masks_show_nothing_masked(self, out):
+        loaded = tj.load_result(out, edits=False)
+        alone = torch.full_like(loaded.images[0], loaded.num_point_segments)
+        for name, kept in ((loaded.names[0], True), ("other", False)):
+            names, images = (name, *loaded.names[1:]), (alone, *loaded.images[1:])
+            chosen = select_masked(out, replace(loaded, images=images, names=names))
+            assert bool((chosen.images[0] == alone).all()) == kept
 
     def test_an_export_of_what_is_masked(self, out, run, tmp_path):
         kept = [s["id"] for s in json.loads((out / "masks.json").read_text())["segments"] if s["masked"] >= 0.5]
@@ -162,8 +173,6 @@ class TestARun:
         assert len(read_ply(written[kept[0]]).points) == (stored == kept[0]).sum()
 
     def test_what_is_kept_is_as_sure_as_before(self, out):
-        from torchjoint.results.mask_report import select_masked
-
         loaded = tj.load_result(out, edits=False)
         chosen = select_masked(out, loaded)
         assert chosen.confidence is not None
@@ -188,8 +197,6 @@ class TestARun:
         for name in ("points.npz", "run.yaml"):
             (other / name).write_bytes((out / name).read_bytes())
         (other / "masks.json").write_text('{"frames": [], "segments": [{"id": 100000, "masked": 1}]}')
-        from torchjoint.results.mask_report import select_masked
-
         with pytest.raises(ValueError, match=r"masks\.json: not the masks of this result"):
             select_masked(other, tj.load_result(out))
         (other / "masks.json").unlink()

@@ -274,8 +274,7 @@ def embed(
             inputs = [one for crop in crops for one in (torch.where(crop.mask, crop.image, GREY), crop.image)]
             images = torch.stack([_square(one, size) for one in inputs])
             vectors[record.id] = _mean_vector(encoder, images)
-    dimension = next((len(vector) for vector in vectors.values()), 0)
-    zeros = torch.zeros(dimension, dtype=torch.float32)
+    zeros = torch.zeros(next((len(vector) for vector in vectors.values()), 0), dtype=torch.float32)
     found = [vectors.get(segment, zeros) for segment in range(result.num_point_segments)]
     return Embeddings(torch.stack(found), result.points)
 

@@ -16,6 +16,7 @@ from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import damage_is, has_file, read_json
 from torchjoint.runtime.groups import counted_pairs
 from torchjoint.runtime.messages import printable
+from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Masks
 from torchjoint.scene.segmentation import level_images
 
@@ -125,25 +126,29 @@ def names_of_masks(folder: Path) -> dict[int, str]:
 def select_masked(folder: Path, result: Result) -> Result:
     """The result with only those segments of the cloud that lie in masks with at least half of their pixels.
 
-    The other segments are -1 in points and images; ids stay. There are no levels any more.
+    The other segments are -1 in points and images, also those of one image that has no masks; ids stay. There are no
+    levels any more.
     """
-    segments = _read(folder)["segments"]
+    segments, names = _read(folder)["segments"], frames_with_masks(folder)
     with damage_is(f"{folder / FILE}: not the masks of this result"):
         kept = [segment["id"] for segment in segments if segment["masked"] >= 0.5]
-        table = torch.full((result.num_point_segments,), -1)
+        table = torch.full((count := result.num_point_segments,), -1)
         table[kept] = torch.tensor(kept)
     if not kept:
         raise ValueError(f"{folder / FILE}: no segment lies in masks with half of its pixels")
-    count = result.num_point_segments
-    images = level_images(result.images, count, table, count)
+
+    def read(index: int) -> Tensor:
+        labels = result.images[index]
+        return labels if result.names[index] in names else labels.masked_fill(labels >= count, -1)
+
+    images = level_images(LazySequence(len(result.images), read), count, table, count)
     chosen = replace(result, points=table[result.points], images=images, hierarchy=None, superpoint_images=())
-    known, count = result._confidence, chosen.num_point_segments  # which stays, though there are no levels
-    vars(chosen)["_confidence"] = known and known._replace(of_segment=known.of_segment[:count])
+    known, left = result._confidence, chosen.num_point_segments  # which stays, though there are no levels
+    vars(chosen)["_confidence"] = known and known._replace(of_segment=known.of_segment[:left])
     return chosen
 
 
 def _read(folder: Path) -> dict[str, Any]:
-    file = folder / FILE
-    with damage_is(f"{file}: not the report of a result's masks"):
-        content = read_json(file, "a result of a recording with masks")
+    with damage_is(f"{folder / FILE}: not the report of a result's masks"):
+        content = read_json(folder / FILE, "a result of a recording with masks")
         return {name: list(content[name]) for name in ("frames", "segments")}

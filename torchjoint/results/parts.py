@@ -100,8 +100,7 @@ class Parts:
         """[P] the id of each superpoint's segment; new segments follow all on disk, in the order of the edits."""
         own, following = np.where(first_superpoints(self.stored) == np.arange(self.count), self.stored, -1), count()
         for table in edits.tables(self.level(edits.granularity), self.result.hierarchy):
-            firsts = np.flatnonzero(table == np.arange(self.count))
-            for first in firsts[own[firsts] < 0]:
+            for first in np.flatnonzero((table == np.arange(self.count)) & (own < 0)):
                 own[first] = int(self.stored.max()) + 1 + next(following)
         return own[table]
 
@@ -115,13 +114,11 @@ class Parts:
 def edited(result: Result, edits: Edits) -> Result:
     """Applies corrections by hand, and sets `segment_names`. Ids as those of :class:`Parts`; some may have no point."""
     parts = Parts(result)
-    ids = parts.ids(edits)
-    segments = torch.from_numpy(ids)
+    ids = torch.from_numpy(parts.ids(edits))
     superpoints = None if result.hierarchy is None else result.superpoint_images
     before = result.num_point_segments  # ids of image segments without points stay, too, unless there are new ones
-    images = level_images(result.images, before, segments, max(int(ids.max()) + 1, before), superpoints)
-    points = segments[torch.from_numpy(parts.of_point)]
+    more = max(int(ids.max()) + 1 - before, 0)
+    images = len(result.images) and level_images(result.images, before, ids, before + more, superpoints)
     names = {int(ids[first]): name for first, name in parts.names(edits).items()}
-    if int(ids.max()) < before:
-        names |= {one: name for one, name in result.segment_names.items() if one >= before}
-    return replace(result, points=points, images=images if len(result.images) else (), segment_names=names)
+    names |= {one + more: name for one, name in result.segment_names.items() if one >= before}
+    return replace(result, points=ids[torch.from_numpy(parts.of_point)], images=images or (), segment_names=names)

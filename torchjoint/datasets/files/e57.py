@@ -110,8 +110,10 @@ def _scan(file: Any, index: int, name: str) -> tuple[Array, Array | None]:
     low, high = (np.array([_limit(header, name, end) for name in _RGB]) for end in ("Minimum", "Maximum"))
     rgb = np.stack([data[name] for name in _RGB], axis=1)
     most = float(np.fmax.reduce(rgb, axis=None, initial=0))
-    if not (high > low).all() or (high.max() > 255 >= most > 1):  # no limits, or those of a wider type
-        low, high = np.zeros(3), np.full(3, full_brightness(most, 65535 if (rgb % 1 == 0).all() else None))
+    kind = 65535 if (rgb % 1 == 0).all() else None
+    # No limits, or those of a narrower or a wider type.
+    if not (high > low).all() or most > high.max() or (most <= 255 and full_brightness(most, kind) < high.max()):
+        low, high = np.zeros(3), np.full(3, full_brightness(most, kind))
     rgb = ((rgb - low) / (high - low)).clip(0, 1).astype(np.float32)
     rgb[data.get("isColorInvalid", np.zeros(len(rgb))) != 0] = np.nan
     return xyz, rgb
