@@ -53,8 +53,7 @@ class GrowingView(_LaterPage):
             seen: the recording with the frames that have come so far; it tells what is up, or their poses.
             note: a line at the top of the panel.
         """
-        so_far = Scene(live.cloud.points, seen.frames, up=seen.up)
-        up = up_direction(so_far) if self.viewer is None else None
+        up = None if self.viewer else up_direction(Scene(live.cloud.points, seen.frames, up=seen.up))
         scene = Scene(live.cloud.points, colors=live.cloud.colors, up=up)
         result = Result.of(Segmentation(live.labels, ()), scene)
         if self.viewer is None:
