@@ -131,14 +131,14 @@ MAX_SUPERPOINT = 2**24 - 2
 _VOTES = ("votes", "piece_size")
 
 
-def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pieces: Sequence[Tensor]) -> None:
+def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], superpoints: Sequence[Tensor]) -> None:
     """Writes hierarchy.npz and pieces/NAME.png; equal arguments give equal bytes.
 
     Args:
         folder: the result.
         hierarchy: of the points.
         names: of the images, without suffix.
-        pieces: [H, W] int64 per image, -1 = none.
+        superpoints: [H, W] int64 per image, -1 = none.
     """
     if hierarchy.num_superpoints - 1 > MAX_SUPERPOINT:
         count = f"{hierarchy.num_superpoints} superpoints"
@@ -152,12 +152,12 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], pi
         default=np.float64(hierarchy.default),
         **{name: array.numpy().astype(np.int32) for name, array in arrays.items()},  # type: ignore[arg-type]
     )
-    if not len(pieces):
+    if not len(superpoints):
         return
     (folder / SUPERPOINTS).mkdir()
 
     def write(index: int) -> None:
-        stored = (pieces[index] + 1).numpy().astype(">u4", order="C")
+        stored = (superpoints[index] + 1).numpy().astype(">u4", order="C")
         channels = stored.view(np.uint8).reshape(*stored.shape, 4)[..., 1:]
         Image.fromarray(channels).save(folder / SUPERPOINTS / f"{names[index]}.png", **PNG)
 

@@ -118,7 +118,7 @@ def edited(result: Result, edits: Edits) -> Result:
     superpoints = None if result.hierarchy is None else result.superpoint_images
     before = result.num_point_segments  # ids of image segments without points stay, too, unless there are new ones
     more = max(int(ids.max()) + 1 - before, 0)
-    images = len(result.images) and level_images(result.images, before, ids, before + more, superpoints)
+    images = level_images(result.images, before, ids, before + more, superpoints) if len(result.images) else ()
     names = {int(ids[first]): name for first, name in parts.names(edits).items()}
     names |= {one + more: name for one, name in result.segment_names.items() if one >= before}
-    return replace(result, points=ids[torch.from_numpy(parts.of_point)], images=images or (), segment_names=names)
+    return replace(result, points=ids[torch.from_numpy(parts.of_point)], images=images, segment_names=names)
