@@ -116,9 +116,7 @@ def imported():
     return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
 
 
-@pytest.mark.parametrize(
-    "module", ["open3d", "matplotlib", "sklearn", "plotly", "viser", "tyro", "torchmetrics", "cv2"]
-)
+@pytest.mark.parametrize("module", ["open3d", "matplotlib", "sklearn", "viser", "tyro", "torchmetrics", "cv2"])
 def test_import_is_light(module, imported):
     assert "torchjoint" in imported
     assert module not in imported

@@ -109,7 +109,7 @@ class TestCommands:
     def test_show_makes_a_page_of_another_level(self, out, run, monkeypatch, tmp_path):
         shown = []
         monkeypatch.setattr(
-            "torchjoint.results.page.write_page",
+            "torchjoint.viewer.shared_page.write_page",
             lambda path, result, edits: shown.append((result.points, edits.granularity)) or path.write_text(""),
         )
         result = read_result(out)

@@ -246,7 +246,7 @@ def test_all_readers_open_paths_in_one_way():
         "config/config.py",  # the package's own presets
         "datasets/files/readers.py",  # with the formats that it may have
         "results/output_folder.py",  # markers of a run
-        "results/page.py",  # the package's own script
+        "viewer/shared_page.py",  # the package's own script
         "viewer/html.py",  # the package's own style and script
         "viewer/model.py",  # a file that it has just written
     }

@@ -15,10 +15,10 @@ from torchjoint.results.edits import Edits, write_edits
 from torchjoint.results.exports import FORMATS
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import output_folder
-from torchjoint.results.page import write_page
 from torchjoint.runtime.files import LONGEST, file_name
 from torchjoint.viewer.html import image_html, panel_html
 from torchjoint.viewer.model import Model, export_selected
+from torchjoint.viewer.shared_page import write_page
 
 CONFIG = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 NAMES = (

@@ -14,14 +14,12 @@ from torchjoint_lab.synthetic.models import load_parts
 import torchjoint as tj
 from torchjoint.live import RerunLog
 from torchjoint.results.exports.clouds import export_las
-from torchjoint.results.page import write_page
 from torchjoint.runtime.messages import needed_for
 
 #: What each missing module stops, and the extra that brings it.
 MISSING = {
     "open3d": (lambda path, result: load_parts(path, None, None), "Open3D", "open3d"),
     "torchmetrics": (lambda path, result: tj.metrics.ScannetAveragePrecisionMetric, "torchmetrics", "metrics"),
-    "plotly": (lambda path, result: write_page(path, result), "plotly", "viewer"),
     "laspy": (lambda path, result: export_las(path, result), "laspy", "export"),
     "rerun": (lambda path, result: RerunLog(None), "rerun", "rerun"),
 }
@@ -52,7 +50,7 @@ def test_a_package_that_does_not_load_is_not_called_missing():
 def test_only_the_extra_viewer_brings_the_viewer():
     pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
     extras = {"": pyproject["project"]["dependencies"], **pyproject["project"]["optional-dependencies"]}
-    bringing = {extra for extra, needed in extras.items() if any(re.match("viser|plotly", name) for name in needed)}
+    bringing = {extra for extra, needed in extras.items() if any(re.match("viser", name) for name in needed)}
     assert bringing == {"viewer"}
     through = {extra for extra, needed in extras.items() if any("[" in name and "viewer" in name for name in needed)}
     assert through == {"all"}

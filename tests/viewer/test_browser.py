@@ -753,17 +753,15 @@ def test_the_static_page(browser, out, run, tmp_path):
     page.goto((tmp_path / "page.html").as_uri())
     page.wait_for_selector("canvas")
     wait(lambda: (np.ptp(pixels(page)[:600], axis=2) > 60).sum() > 3000)
-    eye = page.evaluate("document.querySelector('.js-plotly-plot')._fullLayout.scene.camera.eye")
-    assert eye["z"] > 0.3  # from above
-    shown = page.evaluate("Array.from(document.querySelector('.js-plotly-plot')._fullData[0].z)")
+    result = tj.load_result(out)
+    assert page.evaluate("cloud.tilt") > 0.3  # from above
+    shown = np.array(page.evaluate("[...cloud.points]")).reshape(-1, 3)
     up = np.array(json.loads((out / "segments.json").read_text())["up"])
-    heights = tj.load_result(out).scene.points.numpy() @ up
-    assert np.corrcoef(shown, heights)[0, 1] > 0.9999
+    assert np.corrcoef(shown[:, 2], result.scene.points.numpy() @ up)[0, 1] > 0.9999
     before = pixels(page)
     page.select_option("#mode", "colours")
     wait(lambda: (np.abs(pixels(page)[:600] - before[:600]).max(2) > 30).sum() > 3000)
     page.select_option("#mode", "segments")
-    result = tj.load_result(out)
     picture = page.locator("canvas.picture").first
     wait(lambda: picture.evaluate("e => e.height") == 120)
     row, column = 60, 80
@@ -777,31 +775,39 @@ def test_the_static_page(browser, out, run, tmp_path):
     found = colorful(page, 1)
     assert found[seen & inside].mean() > 0.95
     assert found[~seen & inside].mean() < 0.05
-    colors = page.evaluate("Array.from(document.querySelector('.js-plotly-plot')._fullData[0].marker.color)")
-    pale = np.array([min(map(int, color[4:-1].split(","))) > 199 for color in colors])
-    np.testing.assert_array_equal(pale, result.points.numpy() != label)
-    # A click in the cloud selects the segment of the point below.
+    colors = np.array(page.evaluate("[...cloud.colors]")).reshape(-1, 3)
+    np.testing.assert_array_equal(colors.min(1) > 199, result.points.numpy() != label)
+    # A click in the cloud selects the segment of the point below, which lights up before.
     page.click("#clear")
     wait(lambda: "Click a segment" in page.inner_text("#told"))
-    names = page.evaluate("[...document.querySelector('.js-plotly-plot')._fullData[0].text]")
-    assert names == [f"segment {one}" for one in result.points.tolist()]
-    page.mouse.move(448, 330)
-    page.mouse.move(450, 332)
-    page.locator(".hovertext text").first.wait_for()
-    hovered = page.locator(".hovertext text").first.text_content()
-    page.mouse.click(450, 332)
-    wait(lambda: page.inner_text("#told") == hovered)
-    page.mouse.down()  # turning the cloud selects nothing
-    page.mouse.move(500, 360, steps=4)
-    page.mouse.up()
-    assert page.inner_text("#told") == hovered
+    assert page.evaluate("Array.from(pieces, (piece) => now().ids[piece])") == result.points.tolist()
+    ids, (column, row) = place_in_shared_cloud(page, result.points.numpy())
+    page.mouse.move(column - 1, row)
+    page.mouse.move(column, row)
+    wait(lambda: page.inner_text("#tip") == f"segment {ids}")
+    lighter = np.array(page.evaluate("[...cloud.colors]")).reshape(-1, 3).min(1) >= 127
+    assert lighter[result.points.numpy() == ids].all()
+    page.mouse.click(column, row)
+    wait(lambda: page.inner_text("#told") == f"segment {ids}")
+    # Turning, moving and coming nearer select nothing.
+    for button, changed in (("left", "[cloud.turn, cloud.tilt]"), ("right", "cloud.center")):
+        before = page.evaluate(changed)
+        page.mouse.move(column, row)
+        page.mouse.down(button=button)
+        page.mouse.move(column + 50, row + 30, steps=4)
+        page.mouse.up(button=button)
+        assert np.abs(np.subtract(page.evaluate(changed), before)).min() > 1e-3
+    before = page.evaluate("cloud.away")
+    page.mouse.wheel(0, -300)
+    wait(lambda: page.evaluate("cloud.away") == pytest.approx(before * np.exp(-0.3)))
+    assert page.inner_text("#told") == f"segment {ids}"
     # Another level has other segments.
     assert f"{result.num_point_segments} segments" in page.inner_text("#count")
     page.locator("#level").focus()
     page.keyboard.press("End")
     finest = result.at(1.0).num_point_segments
     wait(lambda: page.inner_text("#count") == f"{finest} segments")
-    names = page.evaluate("[...document.querySelector('.js-plotly-plot')._fullData[0].text]")
+    names = page.evaluate("Array.from(pieces, (piece) => now().ids[piece])")
     assert len(set(zip(names, result.at(1.0).points.tolist(), strict=True))) == finest == len(set(names))
     page.close()
 
@@ -811,15 +817,14 @@ def test_the_static_page_shows_the_whole_cloud(browser, out, run, tmp_path, widt
     run("show", out, "--static", tmp_path / "page.html")
     with contextlib.closing(new_page(browser, width, height)) as page:
         page.goto((tmp_path / "page.html").as_uri())
-        box = page.locator(".js-plotly-plot").bounding_box()
+        box = page.locator("#cloud").bounding_box()
         assert page.locator("#level").is_visible() == (tj.load_result(out).hierarchy is not None)
         assert not page.locator("#clear").is_visible()
 
         def seen():  # the first and the last column and row of the cloud, in shares of its part of the page
             shot = page.screenshot(clip=box)
-            rows, columns = np.nonzero(
-                np.ptp(np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int), axis=2)
-            )
+            shot = np.array(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+            rows, columns = np.nonzero(np.ptp(shot, axis=2) > 10)  # not the border of the header
             return np.array([columns, rows]) / [[box["width"]], [box["height"]]] if len(rows) else np.zeros((2, 1))
 
         wait(lambda: np.ptp(seen(), axis=1).max() > 0.8)
@@ -827,6 +832,26 @@ def test_the_static_page_shows_the_whole_cloud(browser, out, run, tmp_path, widt
         assert np.ptp(seen(), axis=1).max() > 0.8
         assert seen().min() > 0.002
         assert seen().max() < 0.998
+        page.set_viewport_size({"width": height, "height": width})  # as a phone that is turned
+        box = page.locator("#cloud").bounding_box()
+        wait(lambda: np.ptp(seen(), axis=1).max() > 0.8)
+
+
+def place_in_shared_cloud(page, of_point):
+    """A label in the shared page, and column and row of a pixel whose neighbours all show points that have it."""
+    eye, axes, away = page.evaluate(
+        "[sum([1, cloud.center], [-cloud.away, cloud.axes()[2]]), cloud.axes(), cloud.away]"
+    )
+    points = np.array(page.evaluate("[...cloud.points]")).reshape(-1, 3) / 32767
+    x, y, z = np.array(axes) @ (points - eye).T
+    box = page.locator("#cloud").bounding_box()
+    focal = box["height"] / 2 / np.tan(0.4)
+    places = np.stack([box["width"] / 2 + focal * x / z, box["height"] / 2 - focal * y / z], axis=1)
+    near = cKDTree(places).query(places, k=60)[1]
+    inside = (of_point[near] == of_point[:, None]).all(1) & (z > 0)
+    first = np.nonzero(inside & (z[near].max(1) - z[near].min(1) < 0.02 * away))[0]
+    chosen = first[np.argmin(np.abs(places[first] - places[first].mean(0)).sum(1))]
+    return of_point[chosen], (places[chosen] + [box["x"], box["y"]]).tolist()
 
 
 def colorful(page, index):
@@ -848,12 +873,27 @@ def test_a_tap_selects_in_the_shared_page(browser, out, run, tmp_path):
     page.set_default_timeout(1000 * PATIENCE)
     page.goto((tmp_path / "page.html").as_uri())
     page.wait_for_selector("canvas")
-    page.wait_for_timeout(3000)  # it is as large as the page allows
-    inside = ndimage.binary_erosion(np.ptp(pixels(page)[:600], axis=2) > 40, iterations=3)
-    row, column = np.argwhere(inside)[inside.sum() // 2].tolist()
-    points = "document.querySelector('.js-plotly-plot').on('plotly_click', (e) => (window.text = e.points[0].text))"
-    page.evaluate(f"() => {{ {points} }}")
+    wait(lambda: page.evaluate("cloud.center !== undefined"))
+    labels = tj.load_result(out).points.numpy()
+    label, (column, row) = place_in_shared_cloud(page, labels)
     page.touchscreen.tap(column, row)
-    wait(lambda: page.inner_text("#told").startswith("segment"))
-    assert page.inner_text("#told") == page.evaluate("window.text")
+    wait(lambda: page.inner_text("#told") == f"segment {label}")
+    # Two fingers that part come nearer; one that moves turns. Both select nothing.
+    fingers = context.new_cdp_session(page)
+
+    def touch(kind, *places):
+        points = [{"x": x, "y": y, "id": index} for index, (x, y) in enumerate(places)]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    away, turn = page.evaluate("[cloud.away, cloud.turn]")
+    touch("touchStart", (150, 300), (250, 300))
+    touch("touchMove", (100, 300), (300, 300))
+    touch("touchEnd")
+    wait(lambda: page.evaluate("cloud.away") == pytest.approx(away / 2))
+    assert page.evaluate("cloud.turn") == turn
+    touch("touchStart", (150, 300))
+    touch("touchMove", (200, 300))
+    touch("touchEnd")
+    wait(lambda: page.evaluate("cloud.turn") == pytest.approx(turn - 0.4))
+    assert page.inner_text("#told") == f"segment {label}"
     context.close()

@@ -19,7 +19,7 @@ import torchjoint as tj
 from torchjoint.cli.show import _open_page
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.labelled_file import write_labelled
-from torchjoint.results.page import write_page
+from torchjoint.viewer.shared_page import write_page
 from torchjoint.viewer.truth import read_labelled_cloud, with_truth
 
 

@@ -133,7 +133,7 @@ def _scene_of(out: Path) -> Scene:
 
 
 def _write_static(page: Output, result: Result, folder: Path | None, granularity: float | None) -> None:
-    from torchjoint.results.page import write_page
+    from torchjoint.viewer.shared_page import write_page
     from torchjoint.viewer.shown import Shown
 
     edits = Shown(folder).edits(result, granularity)

@@ -2,16 +2,15 @@
 
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 
 import torch
 from PIL import Image
 
-from torchjoint.results.page import encoded_image
 from torchjoint.results.render import label_colors
 from torchjoint.runtime.messages import printable
 from torchjoint.viewer.measures import Row
 from torchjoint.viewer.model import Bytes
+from torchjoint.viewer.shared_page import encoded_image, own_file
 
 PREFIX = "torchjoint:"
 NOTHING = "Click or tap a segment; with shift: several."
@@ -21,9 +20,9 @@ COLUMNS = ("id", "name", "points", "size", "frames", "sure")
 
 def page_html(name: str) -> str:
     """The style and the script of the page; `name`: of the scene, for the tab's title."""
-    names = "page.css", "page.js", "depth_shading.js"
-    style, *scripts = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in names)
+    style, *scripts = map(own_file, ("page.css", "page.js", "depth_shading.js"))
     data = f'data-name="{escape(printable(name))}" data-script="{escape("".join(scripts))}"'
+    data += f' data-eye-dome="{escape(own_file("eye_dome.glsl"))}"'
     return f'<style id="tj-page" {data} onload="(0,eval)(dataset.script)">{style}</style>'
 
 

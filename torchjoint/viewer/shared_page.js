@@ -2,8 +2,7 @@
 "use strict";
 
 const data = JSON.parse(document.getElementById("data").textContent);
-const plot = document.querySelector(".js-plotly-plot");
-const [mode, level, told, clear] = ["mode", "level", "told", "clear"].map((id) => document.getElementById(id));
+const [mode, level, told, clear, tip] = ["mode", "level", "told", "clear", "tip"].map((id) => document.getElementById(id));
 const unpack = ([kind, text]) => new globalThis[kind](Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
 const pieces = unpack(data.pieces); // of the points
 const light = unpack(data.light); // of the points, 0 to 255
@@ -11,7 +10,9 @@ const palette = unpack(data.palette); // RGB of each hue
 const own = Object.fromEntries(Object.entries(data.own).map(([name, colors]) => [name, unpack(colors)])); // RGB of points
 const levels = data.levels.map((one) => ({ ids: unpack(one.ids), hues: unpack(one.hues), count: one.count, names: one.names }));
 const pale = matchMedia("(prefers-color-scheme: dark)").matches ? 30 : 200; // what is not selected, nearly the background
+const cloud = new Cloud(document.getElementById("cloud"), unpack(data.points), unpack(data.radii), data.largest, data.eyeDome);
 let selected = null; // an id
+let hovered = null;
 let pictures = [];
 
 const now = () => levels[level.value];
@@ -20,17 +21,18 @@ const called = (id) => `segment ${id}${now().names[id] ? ` ${now().names[id]}` :
 function paintCloud() {
   const { ids, hues } = now();
   const colors = own[mode.value];
-  const paint = Array.from(pieces, (piece, point) => {
+  const painted = new Uint8Array(3 * pieces.length);
+  pieces.forEach((piece, point) => {
     const id = ids[piece];
     const [from, at] = colors ? [colors, 3 * point] : [palette, 3 * hues[piece]];
     const shade = mode.value === "colours" ? 1 : light[point] / 255;
-    const rgb = [0, 1, 2].map((k) => from[at + k] * shade);
-    const faded = selected === null || selected === id ? rgb : rgb.map((value) => 0.15 * value + pale);
-    return `rgb(${faded.map(Math.round).join()})`;
+    for (let k = 0; k < 3; k++) {
+      const value = shade * from[at + k];
+      const shown = selected === null || selected === id ? value : 0.15 * value + pale;
+      painted[3 * point + k] = id === hovered ? 0.5 * shown + 128 : shown;
+    }
   });
-  const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;"); // Plotly reads tags
-  const text = Array.from(ids, (id) => plain(called(id)));
-  Plotly.restyle(plot, { "marker.color": [paint], text: [Array.from(pieces, (piece) => text[piece])] });
+  cloud.paint(painted);
 }
 
 function paintPicture({ canvas, photo, labels }) {
@@ -56,7 +58,8 @@ function paintPicture({ canvas, photo, labels }) {
 }
 
 function paint() {
-  told.textContent = selected === null ? "Click a segment in the cloud or in a picture." : called(selected);
+  const nothing = cloud.gl ? "Click a segment in the cloud or in a picture." : "The cloud needs a browser with WebGL 2.";
+  told.textContent = selected === null ? nothing : called(selected);
   clear.hidden = selected === null;
   document.getElementById("count").textContent = `${now().count} segments`;
   paintCloud();
@@ -96,53 +99,19 @@ level.addEventListener("input", () => {
   paint();
 });
 clear.addEventListener("click", () => select(-1));
-// Plotly's own click also comes when the cloud is turned: only a press that does not move counts.
-let under = null; // the point under the mouse
-let pressed = null;
-let tapped = -Infinity; // when a finger did not move; only Plotly's own click tells its point, after that
-let last; // a timer: of several such clicks the first may tell the point of an earlier one
-const choose = (point) => select(now().ids[pieces[point]]);
-plot.on("plotly_hover", (event) => (under = event.points[0].pointNumber));
-plot.on("plotly_unhover", () => (under = null));
-plot.on("plotly_click", (event) => {
-  if (performance.now() - tapped > 3000) return;
-  clearTimeout(last);
-  last = setTimeout((point) => { tapped = -Infinity; choose(point); }, 200, event.points[0].pointNumber);
-});
-plot.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]), true);
-window.addEventListener("pointerup", (event) => {
-  const moved = pressed === null || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 4;
-  pressed = null;
-  if (!moved && event.pointerType === "touch") tapped = performance.now();
-  else if (!moved && under !== null) choose(under);
-}, true);
-// The cloud takes what the other elements leave, and is as large as it allows; all but outliers are inside.
-function fit() {
-  const { aspectratio, xaxis, yaxis, zaxis, _scene: drawn } = plot._fullLayout.scene;
-  const { clientWidth: width, clientHeight: height } = plot;
-  const axes = plot.layout.meta[width < 0.8 * height ? 1 : 0]; // to the right, down, forward
-  const slope = Math.tan((drawn.glplot.fovy ?? Math.PI / 4) / 2);
-  const sides = [[xaxis, "x"], [yaxis, "y"], [zaxis, "z"]].map(([{ range: [from, to] }, name]) => {
-    const scale = aspectratio[name] / (to - from);
-    return Float64Array.from(plot._fullData[0][name], (value) => (value - (from + to) / 2) * scale);
-  });
-  const along = axes.map((axis) => sides[0].map((_, i) => axis[0] * sides[0][i] + axis[1] * sides[1][i] + axis[2] * sides[2][i]));
-  const [across, down] = [(slope * width) / height, slope].map((tangent, k) => { // the edges of the picture pass by
-    const [low, high] = [1, -1].map((side) => along[k].map((value, i) => value + side * tangent * along[2][i]).sort());
-    const left = Math.floor(0.0005 * low.length);
-    const ends = [low[left], high[high.length - 1 - left]];
-    return { middle: (ends[0] + ends[1]) / 2, away: (ends[1] - ends[0]) / 2 / tangent };
-  });
-  const away = 1.08 * Math.max(across.away, down.away, 1e-6);
-  const point = (k, back) => across.middle * axes[0][k] + down.middle * axes[1][k] - back * axes[2][k];
-  const [eye, center] = [away, 0].map((back) => ({ x: point(0, back), y: point(1, back), z: point(2, back) }));
-  return Plotly.relayout(plot, { "scene.camera.eye": eye, "scene.camera.center": center });
-}
-Plotly.Plots.resize(plot).then(() => {
-  const side = Math.min(plot.clientHeight, plot.clientWidth);
-  Plotly.restyle(plot, { "marker.size": Math.max(1.8, (1.2 * side) / Math.sqrt(pieces.length)) }); // no gaps
-  return fit();
-});
+const idAt = (point) => (point === null ? null : now().ids[pieces[point]]);
+cloud.onChosen = (point) => select(idAt(point) ?? -1);
+cloud.onHovered = (point, event) => {
+  const id = event.pointerType === "mouse" ? idAt(point) : null;
+  tip.hidden = id === null;
+  tip.textContent = id === null ? "" : called(id);
+  tip.style.translate = `${event.clientX + 12}px ${event.clientY + 12}px`;
+  if (id !== hovered) {
+    hovered = id;
+    paintCloud();
+  }
+};
+new ResizeObserver(() => cloud.fit(data.views)).observe(cloud.canvas);
 paint();
 Promise.all(Array.from(document.querySelectorAll("canvas.picture"), readPicture)).then((read) => {
   pictures = read;

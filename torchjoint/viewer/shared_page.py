@@ -22,16 +22,21 @@ from torchjoint.results.render import Shading, label_colors
 from torchjoint.results.result import Result
 from torchjoint.results.upright import fitted, up_direction
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.messages import needed_for, printable
+from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
 from torchjoint.scene.scene import evenly_spaced_indices
+from torchjoint.viewer.cloud import block_radii, blocks_of
 
 #: Largest number of points and of images in the page, and height of an image in pixels.
 MOST_POINTS, MOST_IMAGES, HEIGHT = 100_000, 8, 150
 #: Granularities that the page offers beside the shown level.
 LEVELS = [step / 10 for step in range(11)]
-SCRIPT, STYLE = (Path(__file__).with_name(f"page.{kind}") for kind in ("js", "css"))
+
+
+def own_file(name: str) -> str:
+    """The text of a style, a script or a shader that stands beside this file."""
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
 @on_cpu()
@@ -48,19 +53,21 @@ def write_page(path: Path, result: Result, edits: Edits | None = None) -> int:
     """
     scene, parts = result.scene, Parts(result)
     upward = up_direction(scene).numpy()
+    upright = np.concatenate([level_axes(upward), upward[None]])  # turns `upward` to +z, which the page keeps upright
     keep = torch.arange(0, len(scene.points), max(1, -(-len(scene.points) // MOST_POINTS)))
     levels, first = _levels(parts, edits or Edits(parts.count))
     points = f"{len(keep)} of {len(scene.points)} points" if len(keep) < len(scene.points) else f"{len(keep)} points"
     colors = label_colors(torch.arange(int(parts.keys.max()) + 1))
     own = _own_colors(scene, keep)
-    data = {
+    data = _drawn(scene.points[keep].double().numpy() @ upright.T, thinned=len(keep) < len(scene.points)) | {
+        "views": [(fitted(scene, upward, 0.8, aspect).axes @ upright.T).tolist() for aspect in (1.5, 0.5)],
+        "eyeDome": own_file("eye_dome.glsl"),
         "pieces": _packed(parts.of_point[keep.numpy()].astype(np.uint32)),
         "light": _packed(_bytes(Shading(scene.points[keep], upward).light)),
         "palette": _packed(_bytes(colors.numpy())),
         "own": {name: _packed(rgb) for name, rgb in own.items()},
         "levels": levels,
     }
-    plot = _figure(scene, keep, upward).to_html({"responsive": True, "displayModeBar": False}, full_html=False)
     strip = "".join(_picture(parts, i) for i in evenly_spaced_indices(len(result.images), MOST_IMAGES))
     modes = "".join(f"<option>{name}</option>" for name in ("segments", *own))
     name, count = escape(printable(f"{scene.name}: " if scene.name else "")), f"{levels[first]['count']} segments"
@@ -68,14 +75,15 @@ def write_page(path: Path, result: Result, edits: Edits | None = None) -> int:
     write_text(
         path,
         f'<!DOCTYPE html><html><head><meta charset="utf-8"><title>{name}{count}, {points}</title>'
-        f'<meta name="viewport" content="width=device-width"><style>{STYLE.read_text(encoding="utf-8")}</style></head>'
+        f'<meta name="viewport" content="width=device-width"><style>{own_file("shared_page.css")}</style></head>'
         f'<body><header><span>{name}<span id="count">{count}</span>, {points}</span>'
         f'<label>Colour by <select id="mode">{modes}</select></label>'
         f'<label{" hidden" if len(levels) == 1 else ""}>coarse <input id="level" type="range" min="0" '
         f'max="{len(levels) - 1}" value="{first}" autocomplete="off"> fine</label><b id="told"></b>'
-        f'<button id="clear" hidden>Clear selection</button></header>{plot}<footer>{strip}</footer>'
+        f'<button id="clear" hidden>Clear selection</button></header>'
+        f'<canvas id="cloud"></canvas><div id="tip" hidden></div><footer>{strip}</footer>'
         f'<script id="data" type="application/json">{text}</script>'
-        f"<script>{SCRIPT.read_text(encoding='utf-8')}</script></body></html>\n",
+        f"<script>{own_file('shared_cloud.js')}{own_file('shared_page.js')}</script></body></html>\n",
     )
     return len(keep)
 
@@ -99,24 +107,18 @@ def _levels(parts: Parts, edits: Edits) -> tuple[list[dict[str, Any]], int]:
     return levels, next(i for i, one in enumerate(ordered) if one[0] is shown)
 
 
-def _figure(scene: Scene, keep: Tensor, up: npt.NDArray[np.float64]) -> Any:
-    with needed_for("an HTML file of a result", "plotly", "torchjoint[viewer]"):
-        import plotly.graph_objects as go
-
-    upright = np.concatenate([level_axes(up), up[None]])  # turns `up` to +z, which plotly's camera keeps upright
-    shown = scene.points[keep].double().numpy() @ upright.T
-    shown -= shown.mean(0)
-    x, y, z = (shown / max(float(np.abs(shown).max()), 1e-9) * 32767).round().astype(np.int16).T  # small, in any unit
-    views = [(fitted(scene, up, 0.8, aspect).axes @ upright.T).tolist() for aspect in (1.5, 0.5)]  # page.js fits one
-    figure = go.Figure()
-    figure.add_scatter3d(
-        x=x, y=y, z=z, mode="markers", hovertemplate="%{text}<extra></extra>", marker={"size": 1.8, "color": "#ccc"},
-    )  # fmt: skip
-    figure.update_layout(
-        meta=views, scene={"aspectmode": "data"} | {axis: {"visible": False} for axis in ("xaxis", "yaxis", "zaxis")},
-        margin={"l": 0, "r": 0, "t": 0, "b": 0}, showlegend=False, paper_bgcolor="rgba(0,0,0,0)",
-    )  # fmt: skip
-    return figure
+def _drawn(points: npt.NDArray[np.float64], thinned: bool) -> dict[str, Any]:
+    """Points as shares of the cloud's size, in any unit, and the radii with which they cover their surface."""
+    shown = points - points.mean(0)
+    shown /= max(float(np.abs(shown).max()), 1e-9)
+    blocks, radii = blocks_of(shown, max(len(shown) // 16, 1000)), np.zeros(len(shown))
+    for block, radius in zip(blocks, block_radii(shown, blocks), strict=True):
+        radii[block] = radius
+    largest = float(radii.max())
+    places = _packed((shown * 32767).round().astype(np.int16))
+    shares = _packed((radii / largest * 65535).astype(np.uint32))
+    # The distances of a selection are as those of points spread at random: larger, against gaps.
+    return {"points": places, "radii": shares, "largest": largest * (1.3 if thinned else 1.0)}
 
 
 def _own_colors(scene: Scene, keep: Tensor) -> dict[str, npt.NDArray[np.uint8]]:
@@ -137,7 +139,7 @@ def _packed(values: npt.NDArray[Any]) -> tuple[str, str]:
     """The name of the array's kind in JavaScript, and its bytes in base64; whole numbers take as few as they need."""
     if values.dtype == np.uint32 and values.max(initial=0) < 1 << 16:
         values = values.astype(np.uint16)
-    return f"Uint{8 * values.itemsize}Array", _base64(values.astype(values.dtype.newbyteorder("<")).tobytes())
+    return f"{values.dtype.name.capitalize()}Array", _base64(values.astype(values.dtype.newbyteorder("<")).tobytes())
 
 
 def _base64(content: bytes) -> str:
