@@ -66,6 +66,7 @@ class TestSameLabels:
             assert_same(result, tj.JointSegmenter(config)(synthetic.scene))
             assert torch.get_num_threads() == count
 
+    @pytest.mark.slow
     def test_from_two_threads_with_one_segmenter(self, synthetic, plain):
         segmenter, other = tj.JointSegmenter(CONFIG), synthetic.scene.select_points(torch.arange(3000))
         with ThreadPoolExecutor(4) as threads:

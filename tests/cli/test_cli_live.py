@@ -103,6 +103,7 @@ def test_a_recording_without_depth_is_named(tmp_path, scene_of, run):
         run("live", folder, "-o", tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys):
     shown, served = [], []
 
@@ -140,6 +141,7 @@ def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys)
     assert "after 1 frames: " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_recording_of_rerun_is_written(recording, tmp_path, run):
     pytest.importorskip("rerun", reason="recordings of Rerun need rerun: pip install 'torchjoint[rerun]'")
     from rerun.chunk import RrdReader

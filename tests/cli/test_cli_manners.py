@@ -87,6 +87,7 @@ def test_a_wrong_value_is_one_error(run, capsys):
     assert "None" not in text.replace("None: all", "")
 
 
+@pytest.mark.slow
 def test_a_result_has_a_name_by_default(run, scene_of, tmp_path, monkeypatch):
     write_folder(tmp_path / "kitchen", scene_of(0))
     monkeypatch.chdir(tmp_path)

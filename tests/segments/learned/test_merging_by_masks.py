@@ -127,6 +127,7 @@ def test_what_a_mask_confirms_keeps_its_outline(keeps: bool) -> None:
     assert group == ([0, 1, 1, 2] if keeps else [0, 0, 0, 0])  # only the part joins its whole
 
 
+@pytest.mark.slow
 def test_frames_in_any_order_and_in_parts_give_the_same_labels(scene_of) -> None:
     scene = with_network_masks(scene_of(seed=0).scene, "hard", seed=3)
     whole = tj.JointSegmenter()(scene)
