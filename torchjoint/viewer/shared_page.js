@@ -71,8 +71,7 @@ function select(id) {
   paint();
 }
 
-async function pixelsOf(image, canvas) {
-  await image.decode();
+function pixelsOf(image, canvas) {
   const context = canvas.getContext("2d", { willReadFrequently: true });
   context.drawImage(image, 0, 0);
   return context.getImageData(0, 0, canvas.width, canvas.height).data;
@@ -80,8 +79,9 @@ async function pixelsOf(image, canvas) {
 
 async function readPicture(canvas) {
   const [photo, coded] = canvas.querySelectorAll("img");
-  [canvas.width, canvas.height] = [photo.width, photo.height];
-  const code = await pixelsOf(coded, canvas); // the piece + 1 in red, green and blue, lowest byte first
+  await Promise.all([photo.decode(), coded.decode()]); // before that, it has no size in Firefox
+  [canvas.width, canvas.height] = [photo.naturalWidth, photo.naturalHeight];
+  const code = pixelsOf(coded, canvas); // the piece + 1 in red, green and blue, lowest byte first
   const labels = Int32Array.from({ length: code.length / 4 }, (_, pixel) => {
     const [red, green, blue] = code.subarray(4 * pixel, 4 * pixel + 3);
     return red + 256 * green + 65536 * blue - 1;
@@ -90,7 +90,7 @@ async function readPicture(canvas) {
     const pixel = Math.floor(event.offsetY) * canvas.width + Math.floor(event.offsetX);
     select(labels[pixel] < 0 ? -1 : now().ids[labels[pixel]]);
   });
-  return { canvas, labels, photo: await pixelsOf(photo, canvas) };
+  return { canvas, labels, photo: pixelsOf(photo, canvas) };
 }
 
 mode.addEventListener("change", paint);
