@@ -28,6 +28,7 @@ FILE, RUN = "manifest.json", "run.yaml"
 AT_ONCE = ("points.npz", "hierarchy.npz", "cameras.json", "masks.json")
 #: Those that are checked when they are read.
 WHEN_READ = ("images/*.png", "pieces/*.png", "inputs/*.jpg")
+READ = (*AT_ONCE, *WHEN_READ)
 #: Those that nothing reads: they may be missing, but what a user made of them is not replaced.
 SHOWN = ("points.ply", "cloud-*mm.ply", "images_color/*.jpg")
 
@@ -37,12 +38,13 @@ Check = Callable[[Path], Path]
 
 def write_manifest(folder: Path, record: Mapping[str, Any]) -> None:
     """Writes manifest.json of a result whose other files are written; `record` is the content of run.yaml."""
-    lists = []
-    for names in (_names(folder), _names(folder, SHOWN)):
-        entries = parallel_map(lambda name: json.dumps(_entry(folder / name)), names)
-        lists.append(",\n".join(f"{json.dumps(name)}: {entry}" for name, entry in zip(names, entries, strict=True)))
-    text = '{{"run": "{}", "files": {{\n{}\n}}, "shown": {{\n{}\n}}}}\n'.format(_checksum(record), *lists)
-    write_text(folder / FILE, text)
+
+    def line(name: str) -> str:
+        return f"{json.dumps(name)}: {json.dumps(_entry(folder / name))}"
+
+    files, shown = (",\n".join(parallel_map(line, _names(folder, kinds))) for kinds in (READ, SHOWN))
+    head = f'"run": "{_checksum(record)}"'
+    write_text(folder / FILE, f'{{{head}, "files": {{\n{files}\n}}, "shown": {{\n{shown}\n}}}}\n')
 
 
 def _entry(file: Path) -> list[Any]:
@@ -96,9 +98,7 @@ def check_sizes(folder: Path) -> None:
     record = read_yaml(folder / RUN, dict, "a record of a run")
     for name, (size, _) in _read(folder / FILE, record).items():
         if present(folder / name, "a whole result").stat().st_size != size:
-            raise ValueError(
-                f"{folder / name}: expected the {size} bytes that the run wrote; move or delete the result"
-            )
+            raise ValueError(f"{folder / name}: expected the {size} bytes that the run wrote; delete the result")
 
 
 def listed_files(folder: Path) -> dict[str, list[Any]]:
@@ -111,7 +111,7 @@ def listed_files(folder: Path) -> dict[str, list[Any]]:
     with damage_is(f"{manifest}: not the list of a result's files; move or delete its folder"):
         content = read_json(manifest, "a list of files") if manifest.is_file() else {"files": {}}
         files = dict(content["files"]) | dict(content.get("shown", {}))
-    for name in filter(files.__contains__, _names(folder, (*AT_ONCE, *WHEN_READ, *SHOWN))):
+    for name in filter(files.__contains__, _names(folder, (*READ, *SHOWN))):
         if files[name] != _entry(folder / name):
             raise ValueError(f"{folder / name}: is not as the run wrote it; move or delete it, then start again")
     return files
@@ -120,7 +120,7 @@ def listed_files(folder: Path) -> dict[str, list[Any]]:
 _WAY_OUT = "; load_result(..., verify=False) reads it all the same"
 
 
-def _names(folder: Path, kinds: Sequence[str] = (*AT_ONCE, *WHEN_READ)) -> list[str]:
+def _names(folder: Path, kinds: Sequence[str] = READ) -> list[str]:
     """The names of a result's files of some kinds, relative to its folder."""
     return sorted(file.relative_to(folder).as_posix() for one in kinds for file in folder.glob(one))
 
