@@ -4,6 +4,7 @@ import csv
 import importlib
 import io
 import itertools
+import os
 import shutil
 import sys
 from concurrent.futures import Executor, Future
@@ -342,6 +343,14 @@ class TestOrigin:
         assert "other fingerprint; choose" in self.batch(kitchens[0], tmp_path / "out").failures["kitchen"]
         assert self.batch(kitchens[0], tmp_path / "out", overwrite=True).reports["kitchen"].frames == 0
         assert self.batch(kitchens[0], tmp_path / "out").skipped == ("kitchen",)
+
+    @pytest.mark.parametrize("change", [Path.unlink, lambda file: os.truncate(file, 99)])
+    def test_a_result_that_is_not_whole(self, kitchens, tmp_path, change):
+        self.batch(kitchens[0], tmp_path / "out")
+        change(file := tmp_path / "out" / "kitchen" / "hierarchy.npz")
+        report = self.batch(kitchens[0], tmp_path / "out")
+        assert (report.reports, report.skipped) == ({}, ())
+        assert report.failures["kitchen"].startswith(f"{file}: ")
 
     def test_other_parameters_or_version(self, kitchens, tmp_path):
         out = tmp_path / "out"

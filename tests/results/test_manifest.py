@@ -13,6 +13,7 @@ from PIL import Image
 import torchjoint as tj
 from torchjoint.results.edits import read_edits
 from torchjoint.results.folder import write_result
+from torchjoint.results.manifest import listed_files
 
 OLD = Path(__file__).parents[1] / "samples" / "result-0.1.0"
 CONFIG = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
@@ -218,3 +219,14 @@ def test_a_result_of_version_0_1_0():
     assert result.config == CONFIG
     assert torch.equal(result.at(0.5).points, tj.load_result(OLD, edits=False).points)
     assert len(result.crops(0)) > 0
+
+
+@pytest.mark.parametrize("name", ["points.ply", "images_color/*.jpg"])
+def test_what_nothing_reads_may_be_missing_but_not_changed(out, name):
+    listed_files(out)
+    (file := next(out.glob(name))).write_text("by hand")
+    with pytest.raises(ValueError, match=f"{file.name}: is not as the run wrote it"):
+        listed_files(out)
+    file.unlink()
+    listed_files(out)
+    tj.load_result(out)

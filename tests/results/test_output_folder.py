@@ -209,19 +209,21 @@ def test_corrections_by_hand_are_not_overwritten(tmp_path):
 
 
 def manifest_of(out):
-    image = out / "images" / "0.png"
-    return json.dumps({"files": {"images/0.png": [image.stat().st_size, file_checksum(image)]}})
+    names = {"files": "images/0.png", "shown": "points.ply"}
+    entries = {of: {name: [(out / name).stat().st_size, file_checksum(out / name)]} for of, name in names.items()}
+    return json.dumps(entries)
 
 
-def test_an_image_that_a_user_painted_is_not_overwritten(tmp_path):
+@pytest.mark.parametrize("name", ["images/0.png", "points.ply"])
+def test_a_file_that_a_user_changed_is_not_overwritten(tmp_path, name):
     out = tmp_path / "out"
     assert run(out)
     write(out, {"manifest.json": manifest_of(out)})
-    write(out, {"images/0.png": "new IMAGE"})
-    with pytest.raises(ValueError, match=r"images/0\.png: is not as the run wrote it; move or delete it"):
+    write(out, {name: "by hand"})
+    with pytest.raises(ValueError, match=rf"{name}: is not as the run wrote it; move or delete it"):
         run(out, overwrite=True, key="other")
-    assert content(out)["images/0.png"] == "new IMAGE"
-    (out / "images" / "0.png").unlink()
+    assert content(out)[name] == "by hand"
+    (out / name).unlink()
     assert run(out, overwrite=True, key="other")
 
 
@@ -274,7 +276,7 @@ def test_what_appears_while_a_run_works_stays(tmp_path):
     assert content(tmp_path / "mine") == OLD
 
 
-@pytest.mark.parametrize("name", ["mine.txt", "edits.json", "run.yaml"])
+@pytest.mark.parametrize("name", ["mine.txt", "edits.json", "run.yaml", "images/0.png"])
 def test_what_changes_in_a_result_while_a_run_works_stays(out, name):
     write(out, OLD)
     with pytest.raises(FileExistsError, match=f"{name}: was made or changed while this run worked, and is kept"):

@@ -13,6 +13,7 @@ from torchjoint.config import Config
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.recordings.segment import RecordingOptions, segment_recording
 from torchjoint.results.folder import Origin, read_origin, read_record
+from torchjoint.results.manifest import check_sizes
 from torchjoint.results.output_folder import own_files
 from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.runtime.memory import as_bytes, peak_memory, reset_peak_memory
@@ -94,7 +95,7 @@ def is_done(out: Path) -> bool:
 
 
 def check_origin(job: Job, name: str, path: Path) -> None:
-    """Compares where a result came from with what the batch would make."""
+    """Compares where a result came from with what the batch would make, and checks that it is whole."""
     out = job.out / name
     origin = read_origin(out)
     files = fingerprint(path, own_files(out)) if is_there(path) and origin.fingerprint else origin.fingerprint
@@ -107,6 +108,7 @@ def check_origin(job: Job, name: str, path: Path) -> None:
     if other:
         told = f"{out}: expected the result of {asked.scene}, got that of {origin.scene}"
         raise ValueError(f"{told}; other {', '.join(other)}; choose another folder, or --overwrite")
+    check_sizes(out)
 
 
 def report_of(out: Path, memory: float | None = None, told: tuple[str, ...] = ()) -> SceneReport:

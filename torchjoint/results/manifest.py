@@ -28,6 +28,9 @@ FILE, RUN = "manifest.json", "run.yaml"
 AT_ONCE = ("points.npz", "hierarchy.npz", "cameras.json", "masks.json")
 #: Those that are checked when they are read.
 WHEN_READ = ("images/*.png", "pieces/*.png", "inputs/*.jpg")
+READ = (*AT_ONCE, *WHEN_READ)
+#: Those that nothing reads: they may be missing, but what a user made of them is not replaced.
+SHOWN = ("points.ply", "cloud-*mm.ply", "images_color/*.jpg")
 
 #: A function that returns the path of a result's file, or raises ValueError if it is not what was written.
 Check = Callable[[Path], Path]
@@ -35,10 +38,17 @@ Check = Callable[[Path], Path]
 
 def write_manifest(folder: Path, record: Mapping[str, Any]) -> None:
     """Writes manifest.json of a result whose other files are written; `record` is the content of run.yaml."""
-    names = _names(folder)
-    entries = parallel_map(lambda name: [(folder / name).stat().st_size, file_checksum(folder / name)], names)
-    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(entry)}" for name, entry in zip(names, entries, strict=True))
-    write_text(folder / FILE, f'{{"run": "{_checksum(record)}", "files": {{\n{lines}\n}}}}\n')
+
+    def line(name: str) -> str:
+        return f"{json.dumps(name)}: {json.dumps(_entry(folder / name))}"
+
+    files, shown = (",\n".join(parallel_map(line, _names(folder, kinds))) for kinds in (READ, SHOWN))
+    head = f'"run": "{_checksum(record)}"'
+    write_text(folder / FILE, f'{{{head}, "files": {{\n{files}\n}}, "shown": {{\n{shown}\n}}}}\n')
+
+
+def _entry(file: Path) -> list[Any]:
+    return [file.stat().st_size, file_checksum(file)]
 
 
 def manifest_checksum(folder: Path) -> str | None:
@@ -72,7 +82,7 @@ def open_manifest(folder: Path) -> Check:
 
     def check(path: Path) -> Path:
         entry = files.get(path.relative_to(folder).as_posix())
-        if not has_file(path) or entry != [path.stat().st_size, file_checksum(path)]:
+        if not has_file(path) or entry != _entry(path):
             check_same(folder, opened)
             present(path, "a file of a result")
             raise ValueError(f"{path}: expected the file that the run wrote, got another, or a damaged one{_WAY_OUT}")
@@ -83,6 +93,14 @@ def open_manifest(folder: Path) -> Check:
     return check
 
 
+def check_sizes(folder: Path) -> None:
+    """Checks that the files of a result are there and have their sizes, without reading them: results may be many."""
+    record = read_yaml(folder / RUN, dict, "a record of a run")
+    for name, (size, _) in _read(folder / FILE, record).items():
+        if present(folder / name, "a whole result").stat().st_size != size:
+            raise ValueError(f"{folder / name}: expected the {size} bytes that the run wrote; delete the result")
+
+
 def listed_files(folder: Path) -> dict[str, list[Any]]:
     """Size and checksum of each file of a result, as its run wrote them; empty for a result without a manifest.
 
@@ -91,9 +109,10 @@ def listed_files(folder: Path) -> dict[str, list[Any]]:
     """
     manifest = folder / FILE
     with damage_is(f"{manifest}: not the list of a result's files; move or delete its folder"):
-        files = dict(read_json(manifest, "a list of files")["files"]) if manifest.is_file() else {}
-    for name in filter(files.__contains__, _names(folder)):
-        if files[name] != [(folder / name).stat().st_size, file_checksum(folder / name)]:
+        content = read_json(manifest, "a list of files") if manifest.is_file() else {"files": {}}
+        files = dict(content["files"]) | dict(content.get("shown", {}))
+    for name in filter(files.__contains__, _names(folder, (*READ, *SHOWN))):
+        if files[name] != _entry(folder / name):
             raise ValueError(f"{folder / name}: is not as the run wrote it; move or delete it, then start again")
     return files
 
@@ -101,9 +120,9 @@ def listed_files(folder: Path) -> dict[str, list[Any]]:
 _WAY_OUT = "; load_result(..., verify=False) reads it all the same"
 
 
-def _names(folder: Path) -> list[str]:
-    """The names of a result's files that are checked, relative to its folder."""
-    return sorted(file.relative_to(folder).as_posix() for one in (*AT_ONCE, *WHEN_READ) for file in folder.glob(one))
+def _names(folder: Path, kinds: Sequence[str] = READ) -> list[str]:
+    """The names of a result's files of some kinds, relative to its folder."""
+    return sorted(file.relative_to(folder).as_posix() for one in kinds for file in folder.glob(one))
 
 
 def _read(file: Path, record: Mapping[str, Any]) -> dict[str, list[Any]]:

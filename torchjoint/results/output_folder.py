@@ -173,8 +173,9 @@ def _fill(places: _Places, before: outputs.Seen) -> None:
     if not (partial / PLACING).is_file():
         outputs.check_unchanged(out, before, {path.name for path in places.own})
         replaced.mkdir(exist_ok=True)
-        for name in sorted({name for name, _, _ in before if name and os.path.lexists(out / name)}):
-            os.replace(out / name, replaced / name)
+        for name in outputs.entries(before):
+            if os.path.lexists(out / name):
+                os.replace(out / name, replaced / name)
         os.replace(partial / COMPLETE, partial / PLACING)
     for path in sorted(partial.iterdir()):
         if path.name not in (PLACING, REPLACED):
@@ -219,10 +220,10 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
         raise FileExistsError(f"{out}: exists already; choose another folder, or --overwrite")
     if (out / EDITS).exists():
         raise FileExistsError(f"{out / EDITS}: has corrections by hand; move or delete it, then start again")
-    if len(places.seen()) > 1 and not (out / "run.yaml").is_file():
+    if outputs.entries(places.seen()) and not (out / "run.yaml").is_file():
         raise FileExistsError(f"{out}: expected a result of torchjoint, which has a run.yaml; it is not overwritten")
     frames = {Path(name).stem for name in listed_files(out)}
-    for path in (out / name for name in sorted({name for name, _, _ in places.seen() if name})):
+    for path in (out / name for name in outputs.entries(places.seen())):
         if other := path if not _is_part(path) else next(_others(path, frames), None):
             raise FileExistsError(f"{other}: is of no result of torchjoint; move or delete it, then start again")
     for folder in (out, *filter(Path.is_dir, out.iterdir())):

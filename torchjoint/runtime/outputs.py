@@ -138,7 +138,7 @@ WRITTEN = ".torchjoint"
 def _files_in(folder: Path) -> str:
     """What stands in a folder and the folders in it, but :data:`WRITTEN`."""
     folders = [folder, *(path for path in sorted(folder.rglob("*")) if path.is_dir())]
-    return repr([sorted(seen(one, {WRITTEN})) for one in folders])
+    return repr([sorted(one for one in seen(each, {WRITTEN}) if "/" not in one[0]) for each in folders])
 
 
 def is_as_written(folder: Path) -> bool:
@@ -174,8 +174,8 @@ def work_folder(folder: Path, source: str) -> Path:
     return folder
 
 
-#: What stands at a path: name, time of the last change, and size of a file, or of all entries of a folder; "" is the
-#: path itself. Empty: nothing. Inodes are left out, because some network file systems change them.
+#: What stands at a path: name, time of the last change, and size of a file, or of all entries of a folder and of those
+#: in it; "" is the path itself. Empty: nothing. Inodes are left out, because some network file systems change them.
 Seen = frozenset[tuple[str, int, int]]
 
 
@@ -192,11 +192,16 @@ def seen(path: Path, without: Collection[str] = ()) -> Seen:
     if not stat.S_ISDIR(own.st_mode):
         return frozenset({("", own.st_mtime_ns, own.st_size)})
     found = {("", 0, 0)}
-    for entry in path.iterdir():
+    for entry in (*path.iterdir(), *path.glob("*/*")):  # a file that is written in place leaves its folder as it was
         with suppress(FileNotFoundError):  # it has just gone, such as a viewer's temporary file
-            known = entry.lstat()
-            found.add((entry.name, known.st_mtime_ns, 0 if stat.S_ISDIR(known.st_mode) else known.st_size))
-    return frozenset(one for one in found if one[0] not in without)
+            known, name = entry.lstat(), entry.relative_to(path).as_posix()
+            found.add((name, known.st_mtime_ns, 0 if stat.S_ISDIR(known.st_mode) else known.st_size))
+    return frozenset(one for one in found if one[0].partition("/")[0] not in without)
+
+
+def entries(found: Seen) -> list[str]:
+    """The names of what stands in a folder itself, sorted."""
+    return sorted({name for name, _, _ in found if name and "/" not in name})
 
 
 def check_unchanged(out: Path, before: Seen, without: Collection[str] = (), at: Path | None = None) -> None:

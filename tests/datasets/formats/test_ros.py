@@ -53,6 +53,15 @@ def test_a_clock_that_was_set_back_is_told(tmp_path):
         tj.load_scene(ros.record(tmp_path / "walk", messages + later), fuse=False)
 
 
+def test_depth_by_another_clock_is_told(tmp_path):
+    """A cloud beside it would be segmented without depth."""
+    messages = list(ros.messages())
+    for one in (one for topic, _, one in messages if topic == "/camera/aligned_depth"):
+        one.header.stamp.sec += 5
+    with pytest.warns(UserWarning, match="/camera/aligned_depth: 2 of 2 images have no image of /camera/image_raw wi"):
+        assert tj.load_scene(ros.record(tmp_path / "walk", messages), fuse=False).frames[0].depth is None
+
+
 def test_scans_and_odometry(tmp_path):
     bag = samples.write("ros_points", tmp_path / "bag")
     scene = tj.load_scene(bag, voxel_size=1e-4)

@@ -152,6 +152,8 @@ def _frames(bag: Bag, topics: _Topics, poses: messages.Poses, limit: float) -> S
     tell_left_out(f"{bag.path}: {topics.color}", total - len(colors), total, why)
     depths = [] if topics.depth is None else bag.stamps(topics.depth)
     depth_of = dict(associate([one.time for one in colors], [one.time for one in depths], limit))
+    lost, why = 0 if depth_of else len(depths), f"have no image of {topics.color} within {limit} s (another clock?),"
+    tell_left_out(f"{bag.path}: {topics.depth}", lost, lost, why)
     at = poses.world_from(_frame(bag.first(topics.color)), [one.time for one in colors])
     kept = posed(list(enumerate(at)), str(bag.path), "tf or odometry; --time-limit", limit)
     rectified = re.search(r"(?:^|[/_])rect", topics.color) is not None
