@@ -108,9 +108,13 @@ class TestSam:
         assert_equal(tj.masks.from_sam(records, size=(3, 4)), STACK, [0.9 * 0.95, 1.0])
 
     def test_class_names(self):
-        """As Grounded SAM and Semantic Segment Anything write them."""
+        """As Grounded SAM and Semantic Segment Anything write them; the former with a score of its own."""
         first, second = sam_records()
         assert tj.masks.from_sam([first | {"class_name": "cup"}, second]).names == ("cup", "")
+        scored = [
+            {"segmentation": one["segmentation"], "score": score} for one, score in ((first, [0.7]), (second, 0.5))
+        ]
+        assert_equal(tj.masks.from_sam(scored), STACK, [0.7, 0.5])
         assert tj.masks.from_sam([first, second]).names == ()
 
     def test_no_masks_need_a_size(self):

@@ -84,7 +84,9 @@ def test_names_in_an_archive_of_ones_own(tmp_path):
 
 
 def test_a_coco_file(tmp_path):
-    images = [{"id": i, "file_name": f"left/{name}.jpg", "height": 6, "width": 8} for i, name in enumerate("ba")]
+    """One of its file names was written on Windows."""
+    files = ("left/b.jpg", r"left\a.jpg")
+    images = [{"id": i, "file_name": file, "height": 6, "width": 8} for i, file in enumerate(files)]
     annotations = [{"id": 7, "image_id": 1, "segmentation": [[0, 0, 4, 0, 4, 6, 0, 6]], "category_id": 1}]
     path = tmp_path / "instances.json"
     path.write_text(json.dumps({"images": images, "annotations": annotations}))

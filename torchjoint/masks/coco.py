@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 import torch
@@ -93,7 +93,7 @@ class CocoFile:
             told = "a list of results is for tj.masks.from_coco, image by image"
             raise ValueError(f"{path}: expected a COCO data set with images and annotations; {told}")
         with damage_is(f"{path}: expected images with file_name and id, annotations with image_id"):
-            self._images = {Path(image["file_name"]).stem: image for image in data["images"]}
+            self._images = {PureWindowsPath(image["file_name"]).stem: image for image in data["images"]}
             self._annotations = dict_of([(image["id"], []) for image in data["images"]], "image")
             annotations = _without_groups(data["annotations"], str(path))
             for annotation in annotations:

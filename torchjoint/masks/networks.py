@@ -21,8 +21,8 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
 
     Args:
         records: a dict for each mask: ``segmentation`` (array [H, W], or COCO run lengths, compressed or not);
-            optional ``predicted_iou`` and ``stability_score``, whose product, clipped to [0, 1], is the score; optional
-            ``area``, which must be the mask's number of pixels, ``bbox``, around it, and ``class_name``.
+            optional ``predicted_iou``, ``stability_score`` and ``score``: their product, clipped to [0, 1], counts;
+            optional ``area``, which must be the mask's number of pixels, ``bbox``, around it, and ``class_name``.
         size: (H, W) of the image; required if `records` may be empty.
 
     Raises:
@@ -53,8 +53,9 @@ def _score(record: Mapping[str, Any], name: str) -> float:
     if not isinstance(record, Mapping) or "segmentation" not in record:
         raise ValueError(f"{name}: expected a dict with segmentation, got {_entries(record)}")
     product = 1.0
-    for entry in ("predicted_iou", "stability_score"):
+    for entry in ("predicted_iou", "stability_score", "score"):
         value = record.get(entry, 1.0)
+        value = value[0] if isinstance(value, list) and len(value) == 1 else value  # as Grounded SAM 2 writes it
         try:
             product *= float(value)
         except (TypeError, ValueError, OverflowError) as error:

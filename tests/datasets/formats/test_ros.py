@@ -1,6 +1,7 @@
 """ROS recordings: topics found by type, times matched, poses of tf and odometry; ROS 1 and 2 give the same."""
 
 import io
+import struct
 import warnings
 
 import numpy as np
@@ -306,3 +307,15 @@ def test_packed_depth_has_16_bits():
         else:
             with pytest.raises(ValueError, match=r"depth: expected a depth image of one channel, 16 bits, got uint8"):
                 depth_image(message, "depth")
+
+
+def test_packed_depth_of_floats():
+    """compressed_depth_image_transport packs the inverse of metres, and tells in its header how."""
+    scale, shift = np.float32(100 * 101), np.float32(1 - 100 * 101 / 10)
+    steps, packed = np.uint16([[scale / 0.5 + shift, scale / 8 + shift, 0]]), io.BytesIO()
+    Image.fromarray(steps).save(packed, "PNG")
+    data = np.frombuffer(struct.pack("<iff", 0, scale, shift) + packed.getvalue(), np.uint8)
+    message = ros.TYPES["sensor_msgs/msg/CompressedImage"](
+        ros.header(0.0, "camera"), "32FC1; compressedDepth png", data
+    )
+    assert depth_image(message, "depth")[0].tolist() == pytest.approx([0.5, 8, 0], rel=0.01)

@@ -61,11 +61,10 @@ def color_image(message: Any, name: str) -> Tensor:
 def depth_image(message: Any, name: str) -> Tensor:
     """[H, W] float32 metres of an Image or CompressedImage, 0 = unknown."""
     if not hasattr(message, "encoding"):
-        if "32FC1" in message.format:
-            raise ValueError(f"{name}: expected compressed depth of 16 bits, got {message.format!r}")
-        data = message.data.tobytes()
         skipped = _DEPTH_HEADER if "compressedDepth" in message.format else 0
-        raw, unit = np.array(decode_image(data[skipped:], name)), 0.001
+        if "32FC1" in message.format and not skipped:
+            raise ValueError(f"{name}: expected compressed depth of 16 bits, got {message.format!r}")
+        raw, unit = np.array(decode_image(message.data[skipped:].tobytes(), name)), 0.001
     elif message.encoding in _DEPTHS:
         kind, unit = _DEPTHS[message.encoding]
         raw = _pixels(message, np.dtype(kind), 1, name)[..., 0]
@@ -74,6 +73,9 @@ def depth_image(message: Any, name: str) -> Tensor:
     if raw.ndim != 2 or raw.dtype == np.uint8:
         raise ValueError(f"{name}: expected a depth image of one channel, 16 bits, got {raw.dtype} {list(raw.shape)}")
     depth = raw.astype(np.float32) * np.float32(unit)
+    if "32FC1" in getattr(message, "format", ""):  # the inverse, in equal steps: scale / metres + shift, 0 = unknown
+        scale, shift = message.data[4:_DEPTH_HEADER].view("<f4")
+        depth = scale / np.where(raw, raw - shift, np.float32(np.inf))
     return torch.from_numpy(np.where(np.isfinite(depth) & (depth > 0) & (raw != 65535), depth, np.float32(0)))
 
 
