@@ -170,7 +170,7 @@ def test_a_file_that_is_there_twice_is_told(cloud, tmp_path):
 
 def test_degrees_without_a_coordinate_system_are_told(tmp_path):
     header = laspy.LasHeader(point_format=1, version="1.2")
-    header.scales = [1e-8, 1e-8, 0.001]
+    header.offsets, header.scales = [7, 48, 280], [1e-8, 1e-8, 0.001]
     degrees = laspy.LasData(header)
     degrees.xyz = town(2_000, 12) * [1e-5, 1e-5, 1] + [7.8, 48, 280]
     degrees.write(tmp_path / "a.las")

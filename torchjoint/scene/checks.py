@@ -63,7 +63,9 @@ def tell_half(largest: float, dtype: torch.dtype, name: str) -> None:
 def tell_degrees(points: Tensor, name: str) -> None:
     """Warns if points [N, 3] look like longitude, latitude and metres: nothing is so tall above so small a base."""
     size = points.amax(0) - points.amin(0) if len(points) else points.new_zeros(3)
-    if 0 < TALLEST * float(size[:2].max()) < float(size[2]) and float(points[:, :2].abs().max()) <= 360:
+    base, tall = float(size[:2].max()), float(size[2])
+    is_site = 0 < base < min(1, tall / TALLEST) and tall < 9000  # not a table-top with one wrong point
+    if is_site and float(points[:, :2].abs().max()) <= 360:
         warnings.warn(f"{name}: are x and y in degrees, z in metres? Project them before", stacklevel=4)
 
 

@@ -74,7 +74,7 @@ def test_degrees_are_told(tmp_path, recwarn):
     path.write_text("x,y,z\n" + text(site).replace(" ", ","))
     with pytest.warns(UserWarning, match=r"a\.csv: are x and y in degrees, z in metres\? Project them before"):
         np.testing.assert_allclose(read_cloud_file(path).points, site)
-    for other in (XYZ * [0.05, 0.05, 9], XYZ * [1e-4, 1e-4, 9] + 5317000, XYZ * [0, 0, 9]):  # poles, a line
+    for other in (XYZ * [0.05, 0.05, 9], XYZ * [1e-4, 1e-4, 9] + 5317000, XYZ * [0, 0, 9], XYZ * [1, 1, 1e4]):
         path.write_text(text(other))
         read_cloud_file(path)
     assert not recwarn.list
