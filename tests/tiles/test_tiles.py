@@ -168,6 +168,16 @@ def test_a_file_that_is_there_twice_is_told(cloud, tmp_path):
         superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1")
 
 
+def test_degrees_without_a_coordinate_system_are_told(tmp_path):
+    header = laspy.LasHeader(point_format=1, version="1.2")
+    header.offsets, header.scales = [7, 48, 280], [1e-8, 1e-8, 0.001]
+    degrees = laspy.LasData(header)
+    degrees.xyz = town(2_000, 12) * [1e-5, 1e-5, 1] + [7.8, 48, 280]
+    degrees.write(tmp_path / "a.las")
+    with pytest.warns(UserWarning, match=r"a\.las: are x and y in degrees, z in metres\?"):
+        superpoints_of_files(tmp_path / "a.las", tmp_path / "out.las")
+
+
 def test_a_buffer_of_few_points_is_told(cloud, tmp_path):
     with pytest.warns(UserWarning, match=r"a buffer of 0\.1 m is little; below 0\.\d+ m .*: give a larger buffer"):
         superpoints_of_files(cloud, tmp_path / "out.laz", tile=4, buffer=0.1, engine="loky:1")

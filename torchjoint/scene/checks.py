@@ -28,6 +28,9 @@ BEAMS = 10
 #: Largest coordinate, because squares of distances, and their sums, must fit into float32.
 LARGEST_COORDINATE = 1e12
 
+#: A cloud that is so many times taller than wide has degrees for metres: a site of 3 km, or a pole of 10 m, has fewer.
+TALLEST = 300
+
 
 def as_points(points: Tensor, name: str = "points") -> Tensor:
     """Checks a cloud: [N, 3], N >= 1, finite; returns it as float32, or as float64 if float32 would round it."""
@@ -55,6 +58,15 @@ def tell_half(largest: float, dtype: torch.dtype, name: str) -> None:
     step = largest * torch.finfo(dtype).eps
     told = f"{name}: {dtype} keeps only {step:.2g} m this far from the origin; give float32 or float64"
     warnings.warn(told, stacklevel=4)
+
+
+def tell_degrees(points: Tensor, name: str) -> None:
+    """Warns if points [N, 3] look like longitude, latitude and metres: nothing is so tall above so small a base."""
+    size = points.amax(0) - points.amin(0) if len(points) else points.new_zeros(3)
+    base, tall = float(size[:2].max()), float(size[2])
+    is_site = 0 < base < min(1, tall / TALLEST) and tall < 9000  # not a table-top with one wrong point
+    if is_site and float(points[:, :2].abs().max()) <= 360:
+        warnings.warn(f"{name}: are x and y in degrees, z in metres? Project them before", stacklevel=4)
 
 
 def check_largest(value: Tensor, name: str) -> None:

@@ -17,7 +17,7 @@ import torch
 
 from torchjoint.datasets.files.las import LasPoints, epsg_of, las_points, open_las, tell_unit
 from torchjoint.runtime import bounds
-from torchjoint.scene.checks import LARGEST_COORDINATE, check_largest
+from torchjoint.scene.checks import LARGEST_COORDINATE, check_largest, tell_degrees
 from torchjoint.scene.cloud import full_brightness
 
 #: Mean number of points in a cell, and most cells: small enough to cut tiles along cells, and few enough for memory.
@@ -115,6 +115,7 @@ def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.ND
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     if not ((np.abs([low, high]) <= LARGEST_COORDINATE).all() and (low <= high).all()):
         low, high = np.zeros(3), np.zeros(3)  # all points are counted in one cell, then again in a proper grid
+    tell_degrees(torch.from_numpy(np.stack([low, high])), str(files[0]))
     return sum(counts), low, high
 
 

@@ -61,12 +61,23 @@ def test_what_programs_write(tmp_path, name, data):
 def test_a_column_that_counts_the_rows_is_no_coordinate(tmp_path, first):
     count = np.arange(first, first + 30.0)[:, None]
     (tmp_path / "a.txt").write_text(text(count, XYZ, RGB))
-    with pytest.warns(UserWarning, match=r"^the first column counts the rows, and is not read; a first line of names"):
+    with pytest.warns(UserWarning, match=r"a\.txt: the first column counts the rows, and is not read; a first line of"):
         read = read_cloud_file(tmp_path / "a.txt")
     np.testing.assert_array_equal(read.points, XYZ)
     np.testing.assert_allclose(read.colors, RGB / 255, atol=1e-6)
     (tmp_path / "a.txt").write_text(text(count, XYZ[:, :2]))
     np.testing.assert_array_equal(read_cloud_file(tmp_path / "a.txt").points[:, :1], count)
+
+
+def test_degrees_are_told(tmp_path, recwarn):
+    path, site = tmp_path / "a.csv", XYZ * [1e-4, 1e-4, 9] + [7.8, 48, 280]
+    path.write_text("x,y,z\n" + text(site).replace(" ", ","))
+    with pytest.warns(UserWarning, match=r"a\.csv: are x and y in degrees, z in metres\? Project them before"):
+        np.testing.assert_allclose(read_cloud_file(path).points, site)
+    for other in (XYZ * [0.05, 0.05, 9], XYZ * [1e-4, 1e-4, 9] + 5317000, XYZ * [0, 0, 9], XYZ * [1, 1, 1e4]):
+        path.write_text(text(other))
+        read_cloud_file(path)
+    assert not recwarn.list
 
 
 @pytest.mark.parametrize("suffix", [".xyz", ".npy"])
@@ -85,11 +96,11 @@ def test_normals_without_a_negative_one_are_no_colours(tmp_path, suffix):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (COLORED + "1 2 x 4 5 6\n", r"line 31: expected 6 numbers, got '1 2 x 4 5 6'; correct the line, or remove it"),
+        (COLORED + "1 2 x 4 5 6\n", r"line 31: .* 6 numbers, got '1 2 x 4 5 6'; correct or remove the line, or text"),
         ("# x\n" + COLORED + "1 2 3\n", r"line 32: expected 6 numbers, got '1 2 3'"),
         (
             "Point cloud of a room\n" + COLORED,
-            r"line 1: expected numbers, or names of columns with x, y and z, got 'Poin",
+            r"line 1: expected numbers, or names of columns with x, y and z, got 'Poin.* or remove the text",
         ),
         ("31\n" + COLORED, r"line 1: 31 points are counted, got 30: is it truncated\?"),
         ("1,5 2,5 3,5\n", r"line 1: expected decimal points, got commas in '1,5 2,5 3,5'; replace them"),

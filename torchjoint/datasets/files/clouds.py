@@ -17,7 +17,7 @@ from torchjoint.datasets.files.readers import read_array
 from torchjoint.datasets.files.text_clouds import cloud_of_letters, cloud_of_rows, read_text_cloud
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.foreign_files import damage_is, present
-from torchjoint.scene.checks import Beams, Invalid, kept_points
+from torchjoint.scene.checks import Beams, Invalid, kept_points, tell_degrees
 
 #: Row lengths that are tried for a LiDAR scan; rows that are examined, and the fewest rows that allow a decision.
 COLUMNS, ROWS, LEAST_ROWS = (3, 4, 5, 6, 7), 1 << 16, 100
@@ -64,6 +64,7 @@ def read_cloud_file(
     beams: Beams = "keep" if invalid == "keep" or read.faces is not None else "drop many"
     valid = kept_points(read.points, str(path), invalid, beams)
     read = repaired(read.chosen(valid), str(path))
+    tell_degrees(read.points, str(path))
     return read if read.opacities is None else read.chosen(_opaque(read.opacities, least_opacity, path))
 
 
@@ -112,7 +113,7 @@ def _read(path: Path, columns: int | str | None) -> CloudFile:
             return _from_archive(path)
         if suffix == ".npy":
             rows = read_array(path).numpy()
-            return cloud_of_letters(rows, columns) if isinstance(columns, str) else cloud_of_rows(rows)
+            return cloud_of_letters(rows, columns) if isinstance(columns, str) else cloud_of_rows(rows, str(path))
     return read_text_cloud(path, columns if isinstance(columns, str) else None)
 
 

@@ -61,7 +61,7 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         if names is not None and not data.startswith((b"#", b"//")):  # a comment may only mention x, y and z
             some = ", ".join(names)[:80]
             raise ValueError(f"{len(names)} names of columns, {some}, but {rows.shape[1]} numbers a row; name all")
-        return cloud_of_rows(rows, is_pts=count is not None or path.suffix.lower() == ".pts")
+        return cloud_of_rows(rows, str(path), count is not None or path.suffix.lower() == ".pts")
 
 
 def with_column(path: Path, name: str, values: Sequence[int]) -> bytes:
@@ -106,7 +106,7 @@ def _preamble(data: bytes, name: str) -> tuple[int, int, list[str] | None, int |
                 names = words
             elif not is_comment:
                 told = f"{name}: line {number}: expected numbers, or names of columns with x, y and z"
-                raise ValueError(f"{told}, got {line[:80]!r}; name them x, y and z, or remove the line")
+                raise ValueError(f"{told}, got {line[:80]!r}; name them x, y and z, or remove the text")
         elif len(words) == 1 and words[0].isdigit() and count is None:
             count = int(words[0])
         elif words:
@@ -140,7 +140,7 @@ def _numbers(text: bytes, first: int, path: Path) -> Array:
                 continue
             if len(words) != columns or not all(_is_number(word.decode("latin1")) for word in words):
                 told = f"{path}: not a whole {path.suffix} cloud: line {number}: expected {columns} numbers"
-                raise ValueError(f"{told}, got {_shown(one)}; correct the line, or remove it") from error
+                raise ValueError(f"{told}, got {_shown(one)}; correct or remove the line, or text columns") from error
         raise ValueError(f"{path}: not a whole {path.suffix} cloud: {error}") from error
 
 
@@ -156,11 +156,12 @@ def _shown(line: bytes) -> str:
     return repr(line[:80].decode("utf-8", "replace"))
 
 
-def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
+def cloud_of_rows(rows: Array, name: str, is_pts: bool = False) -> CloudFile:
     """The cloud of rows without names.
 
     Args:
         rows: [N, columns].
+        name: of the file, for warnings.
         is_pts: if there are seven columns, they are x y z intensity r g b.
     """
     if rows.ndim != 2 or rows.shape[1] < 3:
@@ -168,11 +169,11 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
     if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
     if rows.dtype == np.float16 and rows.size:
-        tell_half(float(np.nanmax(np.abs(rows[:, :3]), initial=0)), torch.float16, "points")
+        tell_half(float(np.nanmax(np.abs(rows[:, :3]), initial=0)), torch.float16, name)
     rows = rows.astype(np.float64)
     if _is_count(rows):
         told = "the first column counts the rows, and is not read; a first line of names (x y z red ...) tells others"
-        warnings.warn(told, stacklevel=3)
+        warnings.warn(f"{name}: {told}", stacklevel=3)
         rows = rows[:, 1:]
     names, found = ["x", "y", "z"], ["x y z"]
     if rows.shape[1] >= 7 and (is_pts or not _are_bytes(rows[:, 3])) and _are_bytes(_known(rows[:, 4:7])):
@@ -190,9 +191,9 @@ def cloud_of_rows(rows: Array, is_pts: bool = False) -> CloudFile:
             break
     if rows.shape[1] > len(names):
         what = ", ".join(found[:-1]) + f" and {found[-1]}" if len(found) > 1 else found[0]
-        told = f"of {rows.shape[1]} columns, the first {len(names)} are read, {what}"
+        told = f"{name}: of {rows.shape[1]} columns, the first {len(names)} are read, {what}"
         warnings.warn(f"{told}; the rest is left out; a first line of names (x y z red ...) names others", stacklevel=3)
-    return cloud_of(dict(zip(names, rows.T, strict=False)), "rows")
+    return cloud_of(dict(zip(names, rows.T, strict=False)), name)
 
 
 def _is_count(rows: Array) -> bool:
