@@ -136,9 +136,8 @@ def _write_static(page: Output, result: Result, folder: Path | None, granularity
     from torchjoint.viewer.shared_page import write_page
     from torchjoint.viewer.shown import Shown
 
-    edits = Shown(folder).edits(result, granularity)
     with page.written() as path:
-        shown = write_page(path, result, edits)
+        shown = write_page(path, result, Shown(folder).edits(result, granularity))
     say(page.path if shown == len(result.points) else f"{page.path}: {shown} of {len(result.points)} points")
 
 

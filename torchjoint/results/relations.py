@@ -7,10 +7,9 @@ the surfaces there say what the contact means. Everything is geometry: no class 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +22,6 @@ from torchjoint.results.objects import FILE, add_to_segments, level_axes, orient
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.scene import Scene, Segmentation
-
-if TYPE_CHECKING:
-    import networkx
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["stands on", "hangs on", "contains", "touches"]
@@ -76,24 +72,10 @@ class Relations:
 
     relations: tuple[Relation, ...]
     labels: Tensor = field(compare=False, repr=False)  #: [N] int64, the segment of each point
-    names: Mapping[int, str] = field(default_factory=dict, compare=False, repr=False)  #: by segment; :meth:`load`: none
 
     def of(self, segment: int) -> list[Relation]:
         """All relations of a segment."""
         return [one for one in self.relations if segment in (one.first, one.second)]
-
-    def to_networkx(self) -> networkx.MultiDiGraph:
-        """Nodes: the segments, with "name" and the number of "points"; edges: relations, "touches" both directions."""
-        import networkx
-
-        graph = networkx.MultiDiGraph()
-        found = self.labels[self.labels >= 0].unique(return_counts=True)  # joined ids have no points
-        for segment, count in zip(*(values.tolist() for values in found), strict=True):
-            graph.add_node(segment, name=self.names.get(segment, ""), points=count)
-        for one in self.relations:
-            pairs = [(one.first, one.second), (one.second, one.first)][: 2 if one.kind == "touches" else 1]
-            graph.add_edges_from(pairs, kind=one.kind, area=one.area, share=one.share)
-        return graph
 
     def save(self, folder: str | Path) -> None:
         """Writes the list "relations" into segments.json of a result's folder, beside what is there."""

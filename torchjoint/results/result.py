@@ -160,9 +160,9 @@ class Result(Segmentation):
         What is up, the scene says: :class:`torchjoint.Scene`.
 
         Returns:
-            the relations; ``graph.of(segment)``, ``graph.to_networkx()``.
+            the relations; ``graph.of(segment)``.
         """
-        return replace(relations(self.scene, self), names=self.segment_names)
+        return relations(self.scene, self)
 
     def to_open3d(self) -> Any:
         """The cloud as ``open3d.t.geometry.PointCloud``: in the colours of its segments, which "labels" [N, 1] tells.

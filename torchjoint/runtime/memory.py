@@ -1,9 +1,7 @@
 """Memory: how much there is, how much a process takes, and giving it back."""
 
 import ctypes
-import os
 import re
-import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -28,11 +26,10 @@ def reset_peak_memory() -> None:
 
 def peak_memory() -> float | None:
     """Largest memory use since :func:`reset_peak_memory`, megabytes (10^6 bytes); None if the system does not tell."""
-    try:
-        found = re.search(r"VmHWM:\s*(\d+) kB", _STATUS.read_text())
-    except OSError:
-        return None
-    return None if found is None else int(found[1]) * 1024 / 1e6
+    with suppress(OSError):
+        if found := re.search(r"VmHWM:\s*(\d+) kB", _STATUS.read_text()):
+            return int(found[1]) * 1024 / 1e6
+    return None
 
 
 #: Default limit, as a share of the memory.
@@ -65,7 +62,9 @@ def available_memory(root: Path = Path("/")) -> int:
     Args:
         root: the folder that contains proc/ and sys/.
     """
-    limits = [_installed_memory()]
+    import psutil
+
+    limits = [psutil.virtual_memory().total]
     own = root / "proc/self/cgroup"
     lines = own.read_text(encoding="utf-8", errors="replace").splitlines() if own.is_file() else []
     for line in lines:
@@ -75,27 +74,6 @@ def available_memory(root: Path = Path("/")) -> int:
         elif "memory" in controllers.split(","):
             limits += _limits(root / "sys/fs/cgroup/memory", group, "memory.limit_in_bytes")
     return min(limits)
-
-
-if sys.platform == "win32":
-
-    class _MemoryStatus(ctypes.Structure):
-        """MEMORYSTATUSEX of the Windows API."""
-
-        _fields_ = [("length", ctypes.c_uint32), ("load", ctypes.c_uint32), ("total", ctypes.c_uint64)] + [
-            (name, ctypes.c_uint64) for name in ("free", "pages", "free_pages", "virtual", "free_virtual", "extended")
-        ]
-
-    def _installed_memory() -> int:
-        status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
-        if not ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status)):
-            raise ctypes.WinError()
-        return int(status.total)
-
-else:
-
-    def _installed_memory() -> int:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def _limits(base: Path, group: str, name: str) -> list[int]:
