@@ -146,16 +146,23 @@ def test_a_folder_of_files_is_one_cloud(tmp_path):
     assert torch.equal(torch.cat(parts), labels_of(tmp_path / "out.las"))
 
 
-@pytest.mark.parametrize("content", ["survey", "text"])
-def test_files_of_the_same_names_that_are_no_results_stay(cloud, tmp_path, content):
+@pytest.mark.parametrize("content", ["survey", "text", "corrected"])
+def test_files_of_a_user_in_a_folder_of_results_stay(cloud, tmp_path, content):
     (tmp_path / "parts").mkdir()
     shutil.copy(cloud, tmp_path / "parts" / "a.laz")
     superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1")
     superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1", overwrite=True)
     mine = tmp_path / "out" / "a.laz"
-    shutil.copy(cloud, mine) if content == "survey" else mine.write_text("by hand")
+    if content == "corrected":
+        corrected = laspy.read(mine)
+        corrected.superpoint[:9] = 5
+        corrected.write(mine)
+    else:
+        shutil.copy(cloud, mine) if content == "survey" else mine.write_text("by hand")
     before = mine.read_bytes()
-    with pytest.raises(FileExistsError, match=r"a\.laz: expected a file of an earlier result, with superpoint"):
+    with pytest.raises(
+        FileExistsError, match="out: holds more than files of an earlier result, or changed ones; choose another"
+    ):
         superpoints_of_files(tmp_path / "parts", tmp_path / "out", engine="loky:1", overwrite=True)
     assert mine.read_bytes() == before
 
@@ -354,7 +361,7 @@ def test_an_earlier_result_comes_back_after_a_kill(cloud, tmp_path, monkeypatch)
         superpoints_of_files(tmp_path / "parts", out, engine="loky:1", tile=7, buffer=1)
     assert (out / "town.laz").read_bytes() == before
     superpoints_of_files(tmp_path / "parts", out, engine="loky:1", tile=7, buffer=1, overwrite=True)
-    assert [path.name for path in out.iterdir()] == ["town.laz"]
+    assert [path.name for path in out.glob("[!.]*")] == ["town.laz"]
 
 
 def test_a_folder_of_tiles_that_no_run_made_stays(cloud, tmp_path):
@@ -390,7 +397,7 @@ def test_copc_is_read_and_its_result_is_not_named_so(tmp_path):
     write_copc(folder / "town.copc.laz", laspy.read(expected))
     superpoints_of_files(expected, tmp_path / "one.las", engine="loky:1")
     superpoints_of_files(folder, tmp_path / "out", engine="loky:1")
-    assert [file.name for file in (tmp_path / "out").iterdir()] == ["town.laz"]
+    assert [file.name for file in (tmp_path / "out").glob("[!.]*")] == ["town.laz"]
     assert torch.equal(labels_of(tmp_path / "out" / "town.laz"), labels_of(tmp_path / "one.las"))
     made = laspy.read(tmp_path / "out" / "town.laz")
     assert not {"copc"} & {record.user_id for record in (*made.vlrs, *made.evlrs)}

@@ -46,14 +46,9 @@ def check_dimension(path: Path, name: str, way_out: str = "remove it first") -> 
     """Checks that a file can get a dimension: its name fits, and it is not there yet."""
     if len(name.encode()) > LONGEST:
         raise ValueError(f"--name: expected at most {LONGEST} bytes for a dimension of {path.name}, got {name}")
-    if has_dimension(path, name):
-        raise ValueError(f"{path}: expected no dimension {name}, got one; {way_out}")
-
-
-def has_dimension(path: Path, name: str) -> bool:
-    """Whether a file has a dimension."""
     with open_las(path) as reader:
-        return name in {*reader.header.point_format.dimension_names, *"xyz"}
+        if name in {*reader.header.point_format.dimension_names, *"xyz"}:
+            raise ValueError(f"{path}: expected no dimension {name}, got one; {way_out}")
 
 
 def write_labelled(

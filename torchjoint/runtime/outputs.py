@@ -141,8 +141,13 @@ def _files_in(folder: Path) -> str:
     return repr([sorted(one for one in seen(each, {WRITTEN}) if "/" not in one[0]) for each in folders])
 
 
+def seal_files(folder: Path) -> None:
+    """Notes what stands in a new folder, for :func:`is_as_written`."""
+    write_sealed(folder / WRITTEN, _files_in(folder))
+
+
 def is_as_written(folder: Path) -> bool:
-    """Whether a folder is empty, or all in it is as an :class:`Output` wrote it: a user's files may have such names."""
+    """Whether a folder is empty, or all in it is as a command wrote it: a user's files may have such names."""
     return folder.is_dir() and (not any(folder.iterdir()) or read_sealed(folder / WRITTEN) == _files_in(folder))
 
 
@@ -343,7 +348,7 @@ class Output:
         try:
             yield new
             if new.is_dir():
-                write_sealed(new / WRITTEN, _files_in(new))
+                seal_files(new)
             put(new, self.path, self._before, beside / f"{PARTIAL}replaced")
         except BaseException as error:
             known = (one.replace(str(new), str(self.path)) if isinstance(one, str) else one for one in error.args)

@@ -24,7 +24,8 @@ from torchjoint.datasets.files import clouds
 from torchjoint.datasets.files.las import COPC, SUFFIXES, check_no_copc
 from torchjoint.datasets.files.readers import fingerprint, unchanged
 from torchjoint.engine import EngineLike, open_engine
-from torchjoint.results.labelled_file import check_dimension, has_dimension, write_labelled
+from torchjoint.results.labelled_file import check_dimension, write_labelled
+from torchjoint.runtime import outputs
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import damage_is, has_file
@@ -182,19 +183,8 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
     names = Counter(_result_name(file) for file in files)
     if twice := [name for name, count in names.items() if count > 1]:
         raise ValueError(f"{cloud}: a .laz and a .copc.laz would both become {twice[0]}; rename one of them")
-    if out.is_dir() and (others := {path.name for path in out.iterdir()} - set(names)):
-        raise FileExistsError(f"{out}: expected only files of an earlier result, got {min(others)}; it is kept")
-    for file in sorted(out.iterdir()) if out.is_dir() else ():
-        if not _is_result(file):
-            raise FileExistsError(f"{file}: expected a file of an earlier result, with {DIMENSION}; it is kept")
-
-
-def _is_result(file: Path) -> bool:
-    """Whether a file has superpoints; those of another survey may have the same names."""
-    try:
-        return has_dimension(file, DIMENSION)
-    except (OSError, ValueError):
-        return False
+    if out.is_dir() and not outputs.is_as_written(out):  # surveys may have the same names
+        raise FileExistsError(f"{out}: holds more than files of an earlier result, or changed ones; choose another")
 
 
 def _result_name(file: Path) -> str:
@@ -290,6 +280,7 @@ def _write(cloud: Path, files: Sequence[Path], out: Path, work: Path, labels: La
         for file in files:
             name = _result_name(file) if cloud.is_dir() else out.name
             first += write_labelled(file, made / name, {DIMENSION: labels[first:]}, bar.update)
+    outputs.seal_files(made)
 
 
 def _labels_file(work: Path, number: int) -> Path:
