@@ -755,6 +755,7 @@ def test_the_static_page(browser, out, run, tmp_path):
     wait(lambda: (np.ptp(pixels(page)[:600], axis=2) > 60).sum() > 3000)
     result = tj.load_result(out)
     assert page.evaluate("cloud.tilt") > 0.3  # from above
+    first = page.evaluate("cloud.away")
     shown = np.array(page.evaluate("[...cloud.points]")).reshape(-1, 3)
     up = np.array(json.loads((out / "segments.json").read_text())["up"])
     assert np.corrcoef(shown[:, 2], result.scene.points.numpy() @ up)[0, 1] > 0.9999
@@ -801,6 +802,23 @@ def test_the_static_page(browser, out, run, tmp_path):
     page.mouse.wheel(0, -300)
     wait(lambda: page.evaluate("cloud.away") == pytest.approx(before * np.exp(-0.3)))
     assert page.inner_text("#told") == f"segment {ids}"
+    # What the mouse is at stays there, and keeps the colour of what is selected; one button leads back.
+    page.click("#reset")
+    assert page.evaluate("cloud.away") == pytest.approx(first)
+    assert page.evaluate("hovered") is None
+    colors = page.evaluate("cloud.colors.join()")
+    page.mouse.move(column, row)
+    wait(lambda: page.inner_text("#tip") == f"segment {ids}")
+    assert page.evaluate("cloud.colors.join()") == colors
+    beneath = f"cloud.at({{ offsetX: {column}, offsetY: {row} - cloud.canvas.offsetTop }})"
+    point = page.evaluate(beneath)
+    for _ in range(4):
+        page.mouse.wheel(0, -300)
+    wait(lambda: page.evaluate("cloud.away") == pytest.approx(first * np.exp(-1.2)))
+    shown = np.array(page.evaluate("[...cloud.points]")).reshape(-1, 3)
+    step = np.median(cKDTree(shown).query(shown, k=2)[0][:, 1])
+    assert np.linalg.norm(shown[page.evaluate(beneath)] - shown[point]) < 3 * step
+    page.click("#reset")
     # Another level has other segments.
     assert f"{result.num_point_segments} segments" in page.inner_text("#count")
     page.locator("#level").focus()
@@ -876,8 +894,10 @@ def test_a_tap_selects_in_the_shared_page(browser, out, run, tmp_path):
     wait(lambda: page.evaluate("cloud.center !== undefined"))
     labels = tj.load_result(out).points.numpy()
     label, (column, row) = place_in_shared_cloud(page, labels)
+    box = page.locator("#cloud").bounding_box()
     page.touchscreen.tap(column, row)
     wait(lambda: page.inner_text("#told") == f"segment {label}")
+    assert page.locator("#cloud").bounding_box() == box  # the button to clear makes no row of its own
     # Two fingers that part come nearer; one that moves turns. Both select nothing.
     fingers = context.new_cdp_session(page)
 

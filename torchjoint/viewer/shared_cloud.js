@@ -55,7 +55,13 @@ class Cloud {
     for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.release(event));
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
-      this.zoom(Math.exp(0.001 * event.deltaY));
+      const factor = Math.exp((event.deltaMode ? 0.03 : 0.001) * event.deltaY); // Firefox counts lines
+      const point = factor < 1 ? this.at(event) : null; // what the mouse is at stays there
+      if (point !== null) {
+        const place = [...this.points.subarray(3 * point, 3 * point + 3)].map((value) => value / 32767);
+        this.center = sum([factor, this.center], [1 - factor, place]);
+      }
+      this.zoom(factor);
     }, { passive: false });
     this.start();
   }

@@ -2,7 +2,7 @@
 "use strict";
 
 const data = JSON.parse(document.getElementById("data").textContent);
-const [mode, level, told, clear, tip] = ["mode", "level", "told", "clear", "tip"].map((id) => document.getElementById(id));
+const [mode, reset, level, told, clear, tip] = ["mode", "reset", "level", "told", "clear", "tip"].map((id) => document.getElementById(id));
 const unpack = ([kind, text]) => new globalThis[kind](Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
 const pieces = unpack(data.pieces); // of the points
 const light = unpack(data.light); // of the points, 0 to 255
@@ -28,8 +28,9 @@ function paintCloud() {
     const shade = mode.value === "colours" ? 1 : light[point] / 255;
     for (let k = 0; k < 3; k++) {
       const value = shade * from[at + k];
-      const shown = selected === null || selected === id ? value : 0.15 * value + pale;
-      painted[3 * point + k] = id === hovered ? 0.5 * shown + 128 : shown;
+      const faded = (id === hovered ? 0.4 : 0.15) * value + (id === hovered ? 0.7 : 1) * pale;
+      const lit = id === hovered && selected === null ? 0.5 * value + 128 : value;
+      painted[3 * point + k] = selected === null || selected === id ? lit : faded;
     }
   });
   cloud.paint(painted);
@@ -58,7 +59,8 @@ function paintPicture({ canvas, photo, labels }) {
 }
 
 function paint() {
-  const nothing = cloud.gl ? "Click a segment in the cloud or in a picture." : "The cloud needs a browser with WebGL 2.";
+  const places = document.querySelector(".picture") ? "the cloud or in a picture" : "the cloud";
+  const nothing = cloud.gl ? `Click a segment in ${places}.` : "The cloud needs a browser with WebGL 2.";
   told.textContent = selected === null ? nothing : called(selected);
   clear.hidden = selected === null;
   document.getElementById("count").textContent = `${now().count} segments`;
@@ -99,13 +101,18 @@ level.addEventListener("input", () => {
   paint();
 });
 clear.addEventListener("click", () => select(-1));
+reset.addEventListener("click", () => {
+  cloud.isTurned = false;
+  cloud.fit(data.views);
+});
 const idAt = (point) => (point === null ? null : now().ids[pieces[point]]);
 cloud.onChosen = (point) => select(idAt(point) ?? -1);
 cloud.onHovered = (point, event) => {
   const id = event.pointerType === "mouse" ? idAt(point) : null;
   tip.hidden = id === null;
   tip.textContent = id === null ? "" : called(id);
-  tip.style.translate = `${event.clientX + 12}px ${event.clientY + 12}px`;
+  const [x, y] = [event.clientX + 12, event.clientY + 12];
+  tip.style.translate = `${Math.max(Math.min(x, innerWidth - tip.offsetWidth), 0)}px ${Math.min(y, innerHeight - tip.offsetHeight)}px`;
   if (id !== hovered) {
     hovered = id;
     paintCloud();

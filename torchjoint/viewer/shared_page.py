@@ -77,7 +77,7 @@ def write_page(path: Path, result: Result, edits: Edits | None = None) -> int:
         f'<!DOCTYPE html><html><head><meta charset="utf-8"><title>{name}{count}, {points}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{own_file("shared_page.css")}</style></head>'
         f'<body><header><span>{name}<span id="count">{count}</span>, {points}</span>'
-        f'<label>Colour by <select id="mode">{modes}</select></label>'
+        f'<label>Colour by <select id="mode">{modes}</select></label><button id="reset">Reset view</button>'
         f'<label{" hidden" if len(levels) == 1 else ""}>coarse <input id="level" type="range" min="0" '
         f'max="{len(levels) - 1}" value="{first}" autocomplete="off"> fine</label><b id="told"></b>'
         f'<button id="clear" hidden>Clear selection</button></header>'
