@@ -129,6 +129,7 @@ class Cloud {
   press(event) {
     this.canvas.setPointerCapture(event.pointerId);
     this.path = this.fingers.size ? Infinity : 0; // pixels; a press that moves chooses nothing
+    this.slack = event.pointerType === "mouse" ? 4 : 10; // no finger is quite still
     this.fingers.set(event.pointerId, [event.offsetX, event.offsetY]);
   }
 
@@ -138,7 +139,7 @@ class Cloud {
     const [x, y] = [here[0] - before[0], here[1] - before[1]];
     this.fingers.set(event.pointerId, here);
     this.path += Math.hypot(x, y);
-    if (this.path <= 4) return;
+    if (this.path <= this.slack) return;
     this.onHovered(null, event);
     const others = [...this.fingers].filter(([id]) => id !== event.pointerId);
     const [right, up] = this.axes();
@@ -151,7 +152,7 @@ class Cloud {
 
   release(event) {
     this.fingers.delete(event.pointerId);
-    if (this.path <= 4 && event.type === "pointerup" && event.button === 0) this.onChosen(this.at(event), event);
+    if (this.path <= this.slack && event.type === "pointerup" && event.button === 0) this.onChosen(this.at(event), event);
   }
 
   zoom(factor) {
