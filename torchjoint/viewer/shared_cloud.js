@@ -66,7 +66,7 @@ class Cloud {
     this.start();
   }
 
-  /** Puts the cloud on the graphics processor; false if the browser has no WebGL 2. */
+  /** Puts the cloud on the graphics processor; `gl` is null if the browser has no WebGL 2. */
   start() {
     const gl = (this.gl = this.canvas.getContext("webgl2", { alpha: false, antialias: false }));
     if (!gl) return;
@@ -104,7 +104,7 @@ class Cloud {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     [this.canvas.width, this.canvas.height] = [width, height].map((side) => Math.max(1, Math.round(side * devicePixelRatio)));
     const [across, , ahead] = views[width < 0.8 * height ? 1 : 0]; // to the right, down, forward
-    if (this.isTurned) return this.render(); // at once: it would be black until the next picture
+    if (this.isTurned) return this.render(); // at once: it is black until the next picture
     [this.turn, this.tilt] = [Math.atan2(across[1], across[0]), Math.asin(-ahead[2])];
     const axes = this.axes();
     const along = axes.map((axis) => Float64Array.from(this.radii, (_, i) => dot(axis, this.points.subarray(3 * i)) / 32767));
