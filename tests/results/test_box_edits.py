@@ -113,6 +113,20 @@ def test_files_are_as_the_programs_read_them(tmp_path):
     assert cuboid["scale"] == pytest.approx([1, 0.5, 0.4], abs=1e-4)
 
 
+def test_boxes_have_a_size(tmp_path):
+    """A scan has things of one point, and flat ones: networks take the logarithm of a side."""
+    few, flat = torch.tensor([[5.0, 5, 5]]).repeat(4, 1), block((3, 1, 0.2), (1, 0.5, 0), 0)
+    result = result_of(few[:1], few, flat, few[:0], torch.cat([few, few[:1]]))
+    for export in (export_openpcdet, export_labelcloud, export_cuboids, export_cvat):
+        file = tmp_path / ("boxes.txt" if export is export_openpcdet else "boxes.json")
+        with pytest.warns(UserWarning, match="2 segments of fewer than 5 points have no box"):
+            export(file, result)
+        boxes = read_boxes(file)
+        assert [box.size for box in boxes] == [pytest.approx(size, abs=1e-4) for size in ((1, 0.5, 0.01), (0.01,) * 3)]
+        with pytest.warns(UserWarning, match="have no box"):  # what has none was not deleted
+            assert edits_of_boxes(result, boxes) == ((), 0, 0, (), 0)
+
+
 def footprint_of(points, tmp_path):
     result = tj.Result.of(tj.Segmentation(torch.zeros(len(points), dtype=torch.int64), ()), tj.Scene(points))
     export_geojson(tmp_path / "a.geojson", result, 25832)

@@ -4,6 +4,7 @@ Their boxes turn about z alone, which must point up: they are those of a turned 
 """
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +25,10 @@ Array = npt.NDArray[np.float64]
 UNNAMED = "thing"
 #: Metres: a point so near to a side is inside. Files hold millimetres.
 TOLERANCE = 1e-3
+#: A segment of fewer points has no box: of so few points nobody draws one, and OpenPCDet leaves such boxes out.
+FEWEST = 5
+#: Metres: the least side of a box, for networks learn logarithms of sides.
+THINNEST = 0.01
 #: Up in a scene is near z if its z, of unit length, is at least this: 10 degrees.
 LEVEL = math.cos(math.radians(10))
 
@@ -51,15 +56,15 @@ def upright_points(scene: Scene) -> Array:
 
 
 def boxes_of(result: Result) -> dict[int, Box]:
-    """The box with the smallest base around each segment that has points, by its id, of the :func:`upright_points`."""
-    points, boxes = upright_points(result.scene), {}
-    for segment, part in enumerate(members(result)):
-        if not len(part):
-            continue
-        found = oriented_box(points[part], np.array([0.0, 0.0, 1.0]))
+    """The box with the smallest base around each segment of FEWEST points, by its id, of the :func:`upright_points`."""
+    points, parts, boxes = upright_points(result.scene), members(result), {}
+    if few := sum(0 < len(part) < FEWEST for part in parts):
+        warnings.warn(f"{few} segments of fewer than {FEWEST} points have no box", stacklevel=5)
+    for segment in [number for number, part in enumerate(parts) if len(part) >= FEWEST]:
+        found = oriented_box(points[parts[segment]], np.array([0.0, 0.0, 1.0]))
         yaw = math.atan2(found.axes[0, 1], found.axes[0, 0])
         name = result.segment_names.get(segment, UNNAMED)
-        boxes[segment] = Box(name, tuple(found.center.tolist()), tuple(found.size.tolist()), yaw)
+        boxes[segment] = Box(name, tuple(found.center.tolist()), tuple(found.size.clip(THINNEST).tolist()), yaw)
     return boxes
 
 

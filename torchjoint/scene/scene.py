@@ -53,11 +53,6 @@ class Truth:
         points = "none" if self.points is None else f"{len(self.points)}"
         return f"Truth({points} points, {len(self.images)} images)"
 
-    @property
-    def has_points(self) -> bool:
-        """Whether the instance of any point is known."""
-        return self.points is not None and bool((self.points >= 0).any())
-
     def select_points(self, keep: Tensor) -> Truth:
         """The truth of some of the points, in the order of `keep` ([N] bool, or [M] int64 indices)."""
         return self if self.points is None else replace(self, points=self.points[keep])
