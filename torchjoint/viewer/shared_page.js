@@ -97,7 +97,7 @@ async function readPicture(canvas) {
 
 mode.addEventListener("change", paint);
 level.addEventListener("input", () => {
-  selected = null;
+  [selected, hovered, tip.hidden] = [null, null, true]; // ids are those of another level
   paint();
 });
 clear.addEventListener("click", () => select(-1));

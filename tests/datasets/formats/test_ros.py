@@ -271,7 +271,7 @@ def test_beams_without_return_are_no_points_at_the_sensor(tmp_path):
 
 def test_what_is_no_recording_of_a_camera(tmp_path):
     bag = ros.record(tmp_path / "tf", [one for one in ros.messages() if one[0] == "/tf"])
-    with pytest.raises(ValueError, match="expected colour images, got topics /tf"):
+    with pytest.raises(ValueError, match=r"expected colour images \(scans alone: PCD\), got /tf"):
         tj.load_scene(bag)
 
 

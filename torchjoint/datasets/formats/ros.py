@@ -96,7 +96,7 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
     heads = {topic: bag.first(topic) for topic in bag.topics(messages.IMAGE, messages.COMPRESSED)}
     color = _only("color", [topic for topic, head in heads.items() if not messages.is_depth(head)], chosen, bag)
     if color is None:
-        raise ValueError(f"{bag.path}: expected colour images, got topics {', '.join(bag.kinds) or 'none'}")
+        raise ValueError(f"{bag.path}: expected colour images (scans alone: PCD), got {', '.join(bag.kinds) or 'none'}")
     frame = _frame(heads[color] if color in heads else bag.first(color))
     infos = bag.topics(INFO)
     infos = [topic for topic in infos if _frame(bag.first(topic)) == frame] or infos
