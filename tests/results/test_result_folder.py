@@ -204,6 +204,18 @@ def test_a_long_cloud_lies_as_the_picture_does(turns, aspect):
         assert (wide > high) == (aspect > 1)
 
 
+def test_the_first_view_of_a_scan_leaves_far_points_out():
+    """Half of a scan is within 10 m, and few of its points reach 200 m: what is near would be small."""
+    random = np.random.default_rng(0)
+    distance, turn = 10 * random.pareto(1.0, 5000).clip(0, 20), random.uniform(0, 2 * np.pi, 5000)
+    scan = np.stack([distance * np.cos(turn), distance * np.sin(turn), random.uniform(0, 2, 5000)], 1)
+    view = fitted(tj.Scene(torch.from_numpy(scan)), np.array([0.0, 0, 1]), 0.8, 1.5)
+    seen = (scan - view.position) @ view.axes.T
+    shares = np.abs(seen[:, :2] / seen[:, 2:] / np.tan(0.4) / [1.5, 1]).max(1)
+    assert (shares < 1).mean() > 0.85
+    assert np.linalg.norm(view.position - view.target) < 250  # m; with all points in the picture: 414
+
+
 class TestCrops:
     def test_best_first(self, result):
         seen = max(result.records(), key=lambda record: len(record.views))

@@ -52,8 +52,7 @@ def pick(result: Segmentation, cloud: Tensor, chosen: Prompts, negative: Prompts
     if not unwanted and len(segments) == 1:  # as the labels have it, with corrections
         superpoints = of_point[result.points == segments].unique()
     else:
-        inside = wanted if hierarchy is None else _grown(hierarchy, wanted, unwanted)
-        superpoints = torch.tensor(sorted(inside))
+        superpoints = torch.tensor(sorted(wanted if hierarchy is None else _grown(hierarchy, wanted, unwanted)))
     return Pick(torch.isin(of_point, superpoints), superpoints)
 
 

@@ -24,6 +24,8 @@ FLAT = 8.0
 SMALLEST_SHARE = 0.03
 #: Share of the points that may lie beyond each edge of a view, and its distance in that from which the others just fit.
 LEFT_OUT, MARGIN = 0.0005, 1.08
+#: Far from a scanner is little: an edge is at most so many times as far from the median as this share of the points.
+THIN, TIMES = 0.05, 2.0
 
 
 @one_thread_per_operation()
@@ -49,11 +51,9 @@ def up_direction(scene: Scene) -> Tensor:
 
 def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     """The upward direction according to the poses, and its largest error in degrees."""
-    count = min(32, len(scene.frames))
-    chosen = torch.linspace(0, len(scene.frames) - 1, count, dtype=torch.float32).long().tolist()
-    rotations = torch.stack([scene.frames[i].world_to_camera[:3, :3] for i in chosen])
+    rotations = _rotations(scene, 32)
     sideways, mean = rotations[:, 0], -rotations[:, 1].mean(0)
-    spread = sideways.T @ sideways / count
+    spread = sideways.T @ sideways / len(rotations)
     # One direction is across all x axes if the cameras turned, else several are: the mean of the -y axes decides.
     values, vectors = torch.linalg.eigh(spread - 0.05 * torch.outer(mean, mean))
     up = vectors[:, 0]
@@ -61,6 +61,13 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     if abs(side) < 1e-6:  # cameras that were rolled in all directions
         side = float(up[up.abs().argmax()])
     return (up if side > 0 else -up), SEARCH_ANGLE if float(values[1]) > 0.05 else WIDE_SEARCH_ANGLE
+
+
+def _rotations(scene: Scene, most: int) -> Tensor:
+    """The rotations [F, 3, 3] of at most so many frames, evenly selected, F >= 1."""
+    count = min(most, len(scene.frames))
+    chosen = torch.linspace(0, len(scene.frames) - 1, count, dtype=torch.float32).long().tolist()
+    return torch.stack([scene.frames[i].world_to_camera[:3, :3] for i in chosen])
 
 
 def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
@@ -105,8 +112,10 @@ def fitted(scene: Scene, up: npt.NDArray[np.float64], fov: float, aspect: float)
     axes = np.stack([right, np.cross(forward, right), forward])
     at = (points - center) @ axes.T
     slope = np.tan(fov / 2) * np.array([aspect, 1])
-    low = np.quantile(at[:, :2] + slope * at[:, 2:], LEFT_OUT, axis=0)  # the left, the right, the upper and the lower
-    high = np.quantile(at[:, :2] - slope * at[:, 2:], 1 - LEFT_OUT, axis=0)  # edge of the picture pass by these places
+    sides = np.array([1, -1]) * at[:, :2, None] + (slope * at[:, 2:])[:, :, None]
+    least, low, middle = np.quantile(sides, [LEFT_OUT, THIN, 0.5], axis=0)
+    # The left, the right, the upper and the lower edge of the picture pass by these places.
+    low, high = (np.maximum(least, middle - TIMES * (middle - low)) * [1, -1]).T
     distance = max(float(((high - low) / slope).max()) / 2, 1e-6)
     target = center + (low + high) / 2 @ axes[:2]
     return View(target - MARGIN * distance * forward, target, axes)
@@ -119,11 +128,9 @@ def _forward(
 
     If there is none, or in portrait, a long cloud lies as the picture does, and is seen from higher, past its walls.
     """
-    count = min(16, len(scene.frames))
-    chosen = np.linspace(0, max(len(scene.frames) - 1, 0), count).astype(int).tolist()
-    forward = sum((scene.frames[i].world_to_camera[2, :3].numpy() for i in chosen), np.zeros(3))
+    forward = _rotations(scene, 16)[:, 2].mean(0).numpy() if len(scene.frames) else np.zeros(3)
     forward = forward - up * (forward @ up)
-    is_free, is_tall = np.linalg.norm(forward) < 0.3 * max(count, 1), aspect < 0.8
+    is_free, is_tall = np.linalg.norm(forward) < 0.3, aspect < 0.8
     if is_free:  # cameras that look down, or around, as in a room with four walls
         forward = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
     forward, right = (one / np.linalg.norm(one) for one in (forward, np.cross(forward, up)))

@@ -109,10 +109,13 @@ class Cloud {
     const axes = this.axes();
     const along = axes.map((axis) => Float64Array.from(this.radii, (_, i) => dot(axis, this.points.subarray(3 * i)) / 32767));
     const radius = (i) => (this.radii[i] / 65535) * this.largest;
+    const edge = (values) => { // as `_edge` of upright.py has it
+      values.sort();
+      const [least, low, middle] = [0.0005, 0.05, 0.5].map((share) => values[Math.floor(share * this.count)]);
+      return Math.max(least, middle - 2 * (middle - low));
+    };
     const sides = [(SLOPE * width) / height, SLOPE].map((slope, k) => { // the edges of the picture pass by
-      const [low, high] = [1, -1].map((side) => along[k].map((value, i) => value + side * (slope * along[2][i] - radius(i))).sort());
-      const left = Math.floor(0.0005 * this.count);
-      const ends = [low[left], high[this.count - 1 - left]];
+      const ends = [1, -1].map((side) => side * edge(along[k].map((value, i) => side * value + slope * along[2][i] - radius(i))));
       return { middle: (ends[0] + ends[1]) / 2, away: (ends[1] - ends[0]) / 2 / slope };
     });
     this.center = sum([sides[0].middle, axes[0]], [sides[1].middle, axes[1]]);

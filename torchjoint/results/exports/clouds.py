@@ -72,9 +72,8 @@ def export_npz(path: Path, result: Result) -> None:
     if result.confidence is not None and result.point_confidence is not None:
         arrays |= {"confidence": result.confidence.numpy(), "point_confidence": result.point_confidence.numpy()}
     names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
-    arrays["names"] = np.array(names, dtype=str)
     called = [result.segment_names.get(segment, "") for segment in range(result.num_point_segments)]
-    arrays["segment_names"] = np.array(called, dtype=str)
+    arrays |= {"names": np.array(names, dtype=str), "segment_names": np.array(called, dtype=str)}
     named = zip(frame_files(names), result.images, strict=True)
     arrays |= {f"image:{name}": image.numpy().astype(np.int32) for name, image in named}
     write_archive(path, arrays)
