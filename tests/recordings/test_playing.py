@@ -50,6 +50,20 @@ def test_what_comes_too_late_is_dropped(monkeypatch):
     assert told == [(1, frames[0]), (2, None), (3, frames[2]), (4, frames[3]), (5, frames[4])]
 
 
+def test_the_first_frame_is_not_dropped(monkeypatch):
+    """A busy machine may begin late; a run of which all frames are dropped has nothing to tell."""
+    segmenter = Segmenter(monkeypatch)
+
+    def monotonic() -> float:
+        segmenter.time += 2.5
+        return segmenter.time
+
+    monkeypatch.setattr(segmenter, "monotonic", monotonic)
+    played = play([(number, 0.0) for number in range(3)], segmenter, 1.0)
+    assert [number for number, _ in segmenter.begun] == [0]
+    assert played.dropped == [1, 2]
+
+
 def test_dropped_frames_are_told_in_ranges():
     assert Played([], [2, 3, 4, 9], [0.1] * 6).told_dropped() == "4 dropped (2-4, 9)"
     assert Played([], [], []).told_dropped() == "0 dropped"

@@ -39,8 +39,8 @@ def play(
     Args:
         frames: of the recording.
         segmenter: gets the frames.
-        rate: frames a second of the camera; a frame that could only begin when the next one is due is dropped. None: no
-            frame is dropped, and none waits.
+        rate: frames a second of the camera; a frame that could only begin when the next one is due is dropped, but
+            for the first. None: no frame is dropped, and none waits.
         told: called after each frame with the number of frames so far and the frame, None if it was dropped; its time
             counts, too.
     """
@@ -49,7 +49,7 @@ def play(
     for index in range(len(frames)):
         began, frame = time.monotonic(), None
         early = 0.0 if rate is None else start + index / rate - began
-        if rate is not None and early <= -1 / rate:
+        if rate is not None and index and early <= -1 / rate:
             played.dropped.append(index)
         else:
             if early > 0:
