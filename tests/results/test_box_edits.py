@@ -415,7 +415,7 @@ def test_a_tilted_box_is_refused(tmp_path):
     assert read_boxes(tmp_path / "a.json")[0].yaw == 0.63
 
 
-def test_overwrite_keeps_a_cloud_that_has_the_name_of_the_turned_one(run, scene_of, tmp_path):
+def test_overwrite_keeps_a_cloud_named_as_the_turned_one(run, scene_of, tmp_path):
     """`-o room.json --overwrite` replaced room.ply, a user's own."""
     config = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
     scene = replace(scene_of(3).scene, up=torch.tensor([0.0, -1.0, 0.0]))
