@@ -409,6 +409,7 @@ class TestFingerprint:
             ("scene/sparse/0", "scene/images/left/0.jpg"),
             ("scene/sparse/0", "scene/dense/0/fused.ply"),
             ("scene/colmap", "scene/images/0.jpg"),
+            ("scene/part/0", "scene/images/0.jpg"),
         ],
     )
     def test_what_lies_around_it(self, recording, file, tmp_path):
@@ -425,6 +426,18 @@ class TestFingerprint:
         assert len(found) == 3
         (recording.parent / "mine.txt").write_bytes(b"")
         assert fingerprint(recording) in found
+
+    @pytest.mark.parametrize("name", ["predictions.npz", "transforms.json"])
+    def test_a_file_that_is_read_with_its_folder(self, name, tmp_path):
+        """Another cloud beside VGGT's file was not noticed; another recording was taken for a change of the first."""
+        for folder in ("one", "other"):
+            (tmp_path / folder).mkdir()
+            (tmp_path / folder / name).write_bytes(b"")
+        before = fingerprint(tmp_path / "one" / name)
+        (tmp_path / "other" / name).write_bytes(b"other")
+        assert fingerprint(tmp_path / "one" / name) == before
+        (tmp_path / "one" / "cloud.ply").write_bytes(b"")
+        assert fingerprint(tmp_path / "one" / name) != before
 
     def test_a_scan_is_its_files_and_no_others(self, tmp_path):
         """A log beside a scan was told as a change of the scan while it was segmented."""

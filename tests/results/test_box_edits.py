@@ -429,6 +429,24 @@ def test_a_tilted_box_is_refused(tmp_path):
     assert read_boxes(tmp_path / "a.json")[0].yaw == 0.63
 
 
+def test_overwrite_keeps_a_cloud_named_as_the_turned_one(run, scene_of, tmp_path):
+    """`-o room.json --overwrite` replaced room.ply, a user's own."""
+    config = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
+    scene = replace(scene_of(3).scene, up=torch.tensor([0.0, -1.0, 0.0]))
+    (tmp_path / "out").mkdir()
+    write_result(tmp_path / "out", scene, tj.JointSegmenter(config)(scene), config, "test")
+    command = ("export", tmp_path / "out", "--format", "cvat", "-o", tmp_path / "room.json", "--overwrite")
+    (tmp_path / "room.ply").write_text("mine")
+    with pytest.raises(SystemExit, match=r"room\.ply: exists already; choose another name"):
+        run(*command)
+    assert (tmp_path / "room.ply").read_text() == "mine"
+    assert not (tmp_path / "room.json").exists()
+    (tmp_path / "room.ply").unlink()
+    run(*command)
+    run(*command)  # replaces both
+    assert len(load_cloud(tmp_path / "room.ply").points) == len(scene.points)
+
+
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0)])
 def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up):
     """If z is not up, the boxes are those of a turned cloud, which is written beside them."""

@@ -90,13 +90,13 @@ def export(
     if ends and out.suffix.lower() not in ends:
         raise ValueError(f"-o: expected a name that ends in {' or '.join(ends)}, got {out}")
     is_turned = format in _BOXES and float(up_direction(loaded.scene)[2]) < LEVEL
-    turned = output_file(out.with_suffix(".ply"), overwrite, [*inputs, out]) if is_turned else None
+    is_ours = overwrite and out.exists()  # a cloud of this name without boxes is a user's
+    turned = output_file(out.with_suffix(".ply"), is_ours, [*inputs, out]) if is_turned else None
     with made.written() as path:
         if format == "labelcloud":
             export_labelcloud(path, loaded, out.with_suffix(".ply"))
         elif format == "geojson":
-            survey = _survey(result)
-            export_geojson(path, loaded, None if survey is None else las.epsg_of(survey))
+            export_geojson(path, loaded, las.epsg_of(survey) if (survey := _survey(result)) else None)
         elif format == "las" and (survey := _survey(result)) is not None:
             label_file(survey, path, loaded)
         else:

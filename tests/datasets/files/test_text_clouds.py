@@ -183,3 +183,14 @@ def test_a_column_of_another_length_is_an_error(tmp_path, values):
     lines = text_clouds.with_column(tmp_path / "a.csv", "label", [5, 6]).splitlines()
     assert lines[:2] == [b"x,y,z,label", b"0,0,0,5"]
     assert lines[-1] == b"1,1,1,6"
+
+
+@pytest.mark.parametrize("names", ["x;y;z\n", "x;y;z;\n", "# X;Y;Z\n", ""])
+def test_rows_that_end_with_a_semicolon_get_no_empty_column(tmp_path, names):
+    """Labels stood one column behind their name."""
+    (tmp_path / "a.csv").write_text(f"{names}0;0,5;0;\n1;1,5;1;\n")
+    *titles, first, second = text_clouds.with_column(tmp_path / "a.csv", "label", [5, 6]).splitlines()
+    assert titles == [f"{line.strip(';')};label".encode() for line in names.splitlines()]
+    assert (first, second) == (b"0;0,5;0;5", b"1;1,5;1;6")
+    (tmp_path / "b.csv").write_bytes(b"0;0;0;1\n1;1;1;\n")  # an empty field
+    assert text_clouds.with_column(tmp_path / "b.csv", "label", [5, 6]) == b"0;0;0;1;5\n1;1;1;;6\n"

@@ -123,8 +123,8 @@ def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = Fal
     """Returns a hash of file names, sizes and times, to detect changed files.
 
     That of a folder covers all files in and below it, without folders of results, and what formats read around it;
-    links are followed. That of a file covers its folder, if formats read other names there, and files with the same
-    stem in sibling folders (KITTI's layout). That of a file with a suffix in `ALONE` covers only itself.
+    links are followed. That of a file covers its folder, if formats read other names there. That of a scan covers files
+    of the same stem in sibling folders (KITTI's layout), that of a file with a suffix in `ALONE` only itself.
 
     Args:
         path: of a recording.
@@ -134,14 +134,14 @@ def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = Fal
     if not is_there(path):
         raise FileNotFoundError(f"{path} does not exist")
     path = path.absolute()  # a batch gives the same recording by a relative path and by the whole one
-    if has_file(path) and path.suffix.lower() in ALONE:
+    if has_file(path) and path.suffix.lower() in ALONE and path.name != "predictions.npz":  # VGGT's has others beside
         known = (str(path.resolve()), *_size_and_time(path, changed))
         return hashlib.sha256(repr(known).encode()).hexdigest()
     folder = path if has_folder(path) else path.parent
     left_out = {os.path.abspath(one) for one in without}
-    beside = () if has_folder(path) else (path, *folder.parent.glob(f"*/{path.stem}.*"))
-    has_others = has_folder(path) or path.suffix.lower() not in (".bin", ".pcd", ".png")
-    near = {*files_below(folder, left_out), *_around(folder, left_out)} if has_others else ()
+    is_scan = folder != path and path.suffix.lower() in (".bin", ".pcd", ".png")
+    beside = (path, *folder.parent.glob(f"*/{path.stem}.*")) if is_scan else ()
+    near = () if is_scan else {*files_below(folder, left_out), *_around(folder, left_out)}
     stats = [(str(file), *_size_and_time(file, changed)) for file in sorted({*near, *beside})]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 
@@ -158,10 +158,10 @@ def unchanged(*files: Path) -> Iterator[None]:
 def _around(folder: Path, without: Set[str]) -> Iterator[Path]:
     """What formats read around a folder: Replica's camera and mesh, the scans of ScanNet, the images of a model."""
     name, beside = folder.name, folder.parent
-    scene = beside.parent if beside.name == "sparse" else beside
     files = [beside / "cam_params.json", beside / f"{name}_mesh.ply"]
     folders = [beside / "scans" if name in ("dslr", "iphone") else beside.parent / "scans" / name]
-    if any(folder.glob("cameras.*")) or any(folder.glob("transforms*.json")):  # of COLMAP, of nerfstudio
+    levels = 2 if any(folder.glob("cameras.*")) else int(any(folder.glob("transforms*.json")))  # COLMAP, nerfstudio
+    for scene in folder.parents[:levels]:
         files.append(scene / "fused.ply")
         folders += [scene / one for one in ("images", "images_2", "images_4", "images_8", "dense")]
     yield from filter(os.path.lexists, files)

@@ -71,14 +71,15 @@ def with_column(path: Path, name: str, values: Sequence[int]) -> bytes:
     start, _, names, _ = _preamble(data, str(path))
     head, rows = data[:start].splitlines(), data[start:].splitlines()
     mark = next((mark for mark in (b";", b",", b"\t") if mark in rows[0]), b" ")
+    last = mark if rows[0].rstrip().endswith(mark) else b""  # it is no empty field then
     of_row = {place: numbers for place, row in enumerate(rows) if (numbers := re.split(rb"#|//", row)[0].rstrip())}
     for (place, numbers), value in zip(of_row.items(), values, strict=True):  # else labels would move to other rows
-        rows[place] = numbers + mark + str(value).encode()
+        rows[place] = numbers.removesuffix(last) + mark + str(value).encode()
     if names is not None:
         if name in names:
             raise ValueError(f"{path}: expected no column {name}, got one; choose another --name")
-        titles = max(place for place, line in enumerate(head) if all(one.encode() in line for one in names))
-        head[titles] += (mark if mark in head[titles] else b" ") + name.encode()
+        place, titles = max(line for line in enumerate(head) if all(one.encode() in line[1] for one in names))
+        head[place] = titles.rstrip().removesuffix(mark) + (mark if mark in titles else b" ") + name.encode()
     return b"\n".join([*head, *rows, b""])
 
 
@@ -190,8 +191,7 @@ def cloud_of_rows(rows: Array, name: str, is_pts: bool = False) -> CloudFile:
         else:
             break
     if rows.shape[1] > len(names):
-        what = ", ".join(found[:-1]) + f" and {found[-1]}" if len(found) > 1 else found[0]
-        told = f"{name}: of {rows.shape[1]} columns, the first {len(names)} are read, {what}"
+        told = f"{name}: of {rows.shape[1]} columns, the first {len(names)} are read, {' and '.join(found)}"
         warnings.warn(f"{told}; the rest is left out; a first line of names (x y z red ...) names others", stacklevel=3)
     return cloud_of(dict(zip(names, rows.T, strict=False)), name)
 
