@@ -94,8 +94,7 @@ def edits_of_points(parts: Parts, before: Edits, labels: ForeignLabels) -> tuple
         for one, name in sorted(labels.names.items())
         if one in place and _told(name) and _told(name) != names.get(int(table[place[one]]), "").strip()
     ]
-    lost = int((labelled & (labels.of_point != of_superpoint[parts.of_point])).sum())
-    return (*gathered, *named), lost
+    return (*gathered, *named), int((labelled & (labels.of_point != of_superpoint[parts.of_point])).sum())
 
 
 def _most(group: Table, ids: Table, count: int) -> Table:
