@@ -444,6 +444,15 @@ def test_a_tilted_box_is_refused(tmp_path):
     assert read_boxes(tmp_path / "a.json")[0].yaw == 0.63
 
 
+def test_radians_of_labelcloud_are_no_degrees(tmp_path):
+    """Its format centroid_rel has the same keys; taken for degrees, boxes were turned, and things joined others."""
+    record = labelcloud_record([Box("a", (0, 0, 0), (3, 1, 1), 0.5)])
+    record["objects"][0]["rotations"]["z"] = -0.5
+    (tmp_path / "a.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match=r"a\.json, object 0: .*angles of centroid_rel"):
+        read_boxes(tmp_path / "a.json")
+
+
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0)])
 def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up):
     """If z is not up, the boxes are those of a turned cloud, which is written beside them."""

@@ -179,6 +179,8 @@ def _of_labelcloud(record: Any) -> tuple[Any, list[Any], list[float]]:
     center = [record["centroid"][name] for name in "xyz"]
     size = [record["dimensions"][name] for name in ("length", "width", "height")]
     turns = [math.radians(float(record["rotations"][name])) for name in "xyz"]
+    if -math.radians(math.pi) <= turns[2] < 0:  # labelCloud's degrees are 0 to 360
+        raise ValueError("angles of centroid_rel, which are radians; save it as centroid_abs")
     return record["name"], [*center, *size, turns[2]], [math.sin(turn / 2) for turn in turns[:2]]
 
 
