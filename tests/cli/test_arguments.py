@@ -1,5 +1,7 @@
 """Every command that writes: OUT is never what it reads, and what comes to OUT while it works stays there."""
 
+import json
+import re
 import shutil
 
 import pytest
@@ -140,9 +142,17 @@ def test_a_file_of_one_format_has_its_suffix(run, result, tmp_path, form, names,
     assert list(tmp_path.iterdir()) == [result]
 
 
-def test_boxes_name_the_cloud_beside_them(run, result, tmp_path):
+def test_labelcloud_reads_names_and_format_beside_the_boxes(run, result, tmp_path, capsys):
+    """A new project of labelCloud has neither: it took degrees for radians. What a project has, stays."""
     run("export", result, "--format", "labelcloud", "-o", tmp_path / "boxes.json")
-    assert f'"path": "{tmp_path / "boxes.ply"}"' in (tmp_path / "boxes.json").read_text()
+    classes = json.loads((tmp_path / "_classes.json").read_text())
+    assert (classes["format"], classes["type"]) == ("centroid_abs", "object_detection")
+    assert [(one["name"], one["id"]) for one in classes["classes"]] == [("thing", classes["default"])]
+    assert re.fullmatch("#[0-9a-f]{6}", classes["classes"][0]["color"])
+    assert "_classes.json: the names" in capsys.readouterr().out
+    (tmp_path / "_classes.json").write_text("mine")
+    run("export", result, "--format", "labelcloud", "-o", tmp_path / "boxes.json", "--overwrite")
+    assert (tmp_path / "_classes.json").read_text() == "mine"
 
 
 def test_a_page_may_lie_in_its_result(run, result):

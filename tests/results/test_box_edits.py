@@ -21,6 +21,7 @@ from torchjoint.results.boxes import (
     Box,
     boxes_of,
     datumaro_record,
+    labelcloud_classes,
     labelcloud_record,
     openpcdet_lines,
     read_boxes,
@@ -34,6 +35,7 @@ from torchjoint.results.exports.boxes import (
     export_geojson,
     export_labelcloud,
     export_openpcdet,
+    export_point_labels,
 )
 from torchjoint.results.folder import write_result
 
@@ -84,7 +86,6 @@ def test_files_are_as_the_programs_read_them(tmp_path):
     assert np.allclose([float(n) for n in numbers], (3, 1, 0.2, 1, 0.5, 0.4, math.pi / 2), atol=1e-4)
     export_labelcloud(tmp_path / "cloud.json", result)
     record = json.loads((tmp_path / "cloud.json").read_text())
-    assert record["filename"] == "cloud.ply"
     (box,) = record["objects"]
     assert box["name"] == "a chair"
     assert box["rotations"]["z"] == pytest.approx(90, abs=0.01)
@@ -111,6 +112,20 @@ def test_files_are_as_the_programs_read_them(tmp_path):
     assert cuboid["position"] == pytest.approx([3, 1, 0.2], abs=1e-4)
     assert cuboid["rotation"] == pytest.approx([0, 0, math.pi / 2], abs=1e-4)
     assert cuboid["scale"] == pytest.approx([1, 0.5, 0.4], abs=1e-4)
+
+
+@pytest.mark.parametrize("export", [export_labelcloud, export_cuboids, export_cvat, export_point_labels])
+def test_names_come_back_from_programs_that_read_no_utf_8(tmp_path, export):
+    """LabelCloud opens its files in the encoding of the system."""
+    file = tmp_path / "a.json"
+    export(file, result_of(block((3, 1, 0.2), (1, 0.5, 0.4), 0), names={0: "Tür"}))
+    assert "Tür" in str(json.loads(file.read_text(encoding="cp1252")))
+
+
+def test_classes_of_labelcloud_are_the_names():
+    record = labelcloud_classes(["chair", "thing", "a door", "chair"])
+    assert [(one["id"], one["name"]) for one in record["classes"]] == [(0, "thing"), (1, "a door"), (2, "chair")]
+    assert len({one["color"] for one in record["classes"]}) == 3
 
 
 def test_boxes_have_a_size(tmp_path):
@@ -310,7 +325,7 @@ def test_a_file_without_names_takes_none_away():
 def test_any_boxes_come_back(tmp_path_factory, boxes):
     folder = tmp_path_factory.mktemp("boxes")
     (folder / "a.txt").write_text(openpcdet_lines(boxes), encoding="utf-8")
-    (folder / "a.json").write_text(json.dumps(labelcloud_record(boxes, folder / "a.ply")), encoding="utf-8")
+    (folder / "a.json").write_text(json.dumps(labelcloud_record(boxes)), encoding="utf-8")
     (folder / "b.json").write_text(json.dumps(segmentsai_label(dict(enumerate(boxes)))), encoding="utf-8")
     (folder / "c.json").write_text(json.dumps(datumaro_record(boxes)), encoding="utf-8")
     for file in ("a.txt", "a.json", "b.json", "c.json"):
@@ -394,7 +409,7 @@ def with_one_changed(value, new):
 @pytest.mark.parametrize("name", ["a.txt", "a.json", "b.json", "c.json"])
 def test_damaged_files_are_named(tmp_path, name):
     boxes, file = [Box("tür", (1.0, 2, 3), (1.0, 1, 2), 0.5)] * 2, tmp_path / name
-    record = {"a.json": labelcloud_record(boxes, file), "b.json": segmentsai_label(dict(enumerate(boxes)))}
+    record = {"a.json": labelcloud_record(boxes), "b.json": segmentsai_label(dict(enumerate(boxes)))}
     record = record.get(name, datumaro_record(boxes))
 
     def read():
@@ -415,7 +430,7 @@ def test_damaged_files_are_named(tmp_path, name):
 
 
 def test_a_tilted_box_is_refused(tmp_path):
-    record = labelcloud_record([Box("a", (0, 0, 0), (1, 1, 1), 0.0)], tmp_path / "a.ply")
+    record = labelcloud_record([Box("a", (0, 0, 0), (1, 1, 1), 0.0)])
     label = segmentsai_label({0: Box("a", (0, 0, 0), (1, 1, 1), 0.63)})
     label["annotations"][0]["rotation"] = {"qx": 0, "qy": 0.0491566, "qz": 0.3096865, "qw": 0.9495672}
     for turn in (20, -20):
@@ -445,6 +460,15 @@ def test_overwrite_keeps_a_cloud_named_as_the_turned_one(run, scene_of, tmp_path
     run(*command)
     run(*command)  # replaces both
     assert len(load_cloud(tmp_path / "room.ply").points) == len(scene.points)
+
+
+def test_radians_of_labelcloud_are_no_degrees(tmp_path):
+    """Its format centroid_rel has the same keys; taken for degrees, boxes were turned, and things joined others."""
+    record = labelcloud_record([Box("a", (0, 0, 0), (3, 1, 1), 0.5)])
+    record["objects"][0]["rotations"]["z"] = -0.5
+    (tmp_path / "a.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match=r"a\.json, object 0: .*angles of centroid_rel"):
+        read_boxes(tmp_path / "a.json")
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0)])

@@ -12,13 +12,12 @@ from torchjoint.cli.output import at_level, tell_of_edits
 from torchjoint.datasets.files import las
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.files.readers import fingerprint
-from torchjoint.results.boxes import LEVEL, upright_points
+from torchjoint.results.boxes import has_level_axes, upright_points
 from torchjoint.results.exports import FORMATS, SUFFIXES
-from torchjoint.results.exports.boxes import export_geojson, export_labelcloud
+from torchjoint.results.exports.boxes import export_geojson, export_labelcloud_classes
 from torchjoint.results.folder import load_result, parts_of, read_origin
 from torchjoint.results.labelled_file import label_file
 from torchjoint.results.mask_report import select_masked
-from torchjoint.results.upright import up_direction
 from torchjoint.runtime.messages import say
 
 #: What a folder of a format has in it.
@@ -57,7 +56,7 @@ def export(
             SCENE_openmask3d_features.npy; graph: what stands on what, as "relations" in RESULT/segments.json, without
             corrections; openpcdet, labelcloud,
             segmentsai-cuboids, cvat: upright boxes with names, for networks of detection and for annotation, and
-            OUT.ply, the cloud turned, if z is not up in RESULT;
+            OUT.ply, the cloud turned, if z is not up in RESULT (labelcloud: and _classes.json beside it, unless there);
             segmentsai: the label of each point, for annotation (`torchjoint edits import` brings boxes and labels
             back). coco, sam and las need `pip install 'torchjoint[export]'`.
         out: file, or folder for sam, ply, scannet and openmask3d; default: RESULT-FORMAT in the current folder, with
@@ -89,19 +88,21 @@ def export(
     ends = [one for one in (SUFFIXES.get(format), _ALSO.get(format)) if one]
     if ends and out.suffix.lower() not in ends:
         raise ValueError(f"-o: expected a name that ends in {' or '.join(ends)}, got {out}")
-    is_turned = format in _BOXES and float(up_direction(loaded.scene)[2]) < LEVEL
-    is_ours = overwrite and out.exists()  # a cloud of this name without boxes is a user's
-    turned = output_file(out.with_suffix(".ply"), is_ours, [*inputs, out]) if is_turned else None
+    is_turned = format in _BOXES and not has_level_axes(loaded.scene)
+    # A cloud of this name without boxes is a user's.
+    turned = output_file(out.with_suffix(".ply"), overwrite and out.exists(), [*inputs, out]) if is_turned else None
     with made.written() as path:
-        if format == "labelcloud":
-            export_labelcloud(path, loaded, out.with_suffix(".ply"))
-        elif format == "geojson":
+        if format == "geojson":
             export_geojson(path, loaded, las.epsg_of(survey) if (survey := _survey(result)) else None)
         elif format == "las" and (survey := _survey(result)) is not None:
             label_file(survey, path, loaded)
         else:
             FORMATS[format](path, loaded)
     say(out)
+    if format == "labelcloud" and not (classes := out.with_name("_classes.json")).exists() and not classes.is_symlink():
+        with output_file(classes, False, inputs).written() as path:
+            export_labelcloud_classes(path, loaded)
+        say(f"{classes}: the names, and that angles are degrees; labelCloud reads it beside {out.name}")
     if turned is not None:
         with turned.written() as path:
             points = torch.from_numpy(upright_points(loaded.scene)).to(loaded.scene.points.dtype)

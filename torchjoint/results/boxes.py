@@ -5,7 +5,7 @@ Their boxes turn about z alone, which must point up: they are those of a turned 
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,6 +49,11 @@ class Box(NamedTuple):
         return (np.abs(own) <= np.array(self.size) / 2 + TOLERANCE).all(1)
 
 
+def has_level_axes(scene: Scene) -> bool:
+    """Whether up in a scene is within 10 degrees of z."""
+    return float(up_direction(scene)[2]) >= LEVEL
+
+
 def upright_points(scene: Scene) -> Array:
     """The points [N, 3] of a scene, metres; turned so that z is up, if up is more than 10 degrees from it."""
     up, points = up_direction(scene).numpy(), scene.points.double().numpy()
@@ -63,29 +68,37 @@ def boxes_of(result: Result) -> dict[int, Box]:
     for segment in [number for number, part in enumerate(parts) if len(part) >= FEWEST]:
         found = oriented_box(points[parts[segment]], np.array([0.0, 0.0, 1.0]))
         yaw = math.atan2(found.axes[0, 1], found.axes[0, 0])
+        numbers = np.array([*found.center, *found.size.clip(THINNEST), yaw]).round(6).tolist()  # as files have them
         name = result.segment_names.get(segment, UNNAMED)
-        boxes[segment] = Box(name, tuple(found.center.tolist()), tuple(found.size.clip(THINNEST).tolist()), yaw)
+        boxes[segment] = Box(name, tuple(numbers[:3]), tuple(numbers[3:6]), numbers[6])
     return boxes
 
 
 def openpcdet_lines(boxes: Iterable[Box]) -> str:
     """The text of a label file of OpenPCDet's custom data sets: x y z dx dy dz heading name."""
-    rows = (f"{_numbers((*box.center, *box.size, box.yaw))} {'_'.join(box.name.split()) or UNNAMED}" for box in boxes)
-    return "".join(f"{row}\n" for row in rows)
+    line = "{:.4f} " * 7 + "{}\n"
+    return "".join(line.format(*box.center, *box.size, box.yaw, "_".join(box.name.split()) or UNNAMED) for box in boxes)
 
 
-def labelcloud_record(boxes: Iterable[Box], file: Path) -> dict[str, Any]:
-    """The record of labelCloud's format centroid_abs: angles are degrees."""
+def labelcloud_record(boxes: Iterable[Box]) -> dict[str, Any]:
+    """The record of labelCloud's format centroid_abs: angles are degrees. The cloud is that with the file's name."""
     objects = [
         {
             "name": box.name,
             "centroid": _named("x y z", box.center),
             "dimensions": _named("length width height", box.size),
-            "rotations": _named("x y z", (0.0, 0.0, math.degrees(box.yaw) % 360)),
+            "rotations": _named("x y z", (0.0, 0.0, round(math.degrees(box.yaw) % 360, 6))),
         }
         for box in boxes
     ]
-    return {"folder": file.parent.name, "filename": file.name, "path": str(file), "objects": objects}
+    return {"objects": objects}
+
+
+def labelcloud_classes(names: Iterable[str]) -> dict[str, Any]:
+    """The record of labelCloud's _classes.json: without it, it takes angles for radians, and offers no names."""
+    known = [UNNAMED, *sorted({*names} - {UNNAMED})]
+    classes = [{"name": one, "id": at, "color": f"#{(at + 3) * 0x9E3779 % 2**24:06x}"} for at, one in enumerate(known)]
+    return {"classes": classes, "default": 0, "type": "object_detection", "format": "centroid_abs"}
 
 
 def segmentsai_label(boxes: Mapping[int, Box]) -> dict[str, Any]:
@@ -93,23 +106,22 @@ def segmentsai_label(boxes: Mapping[int, Box]) -> dict[str, Any]:
     annotations = [
         segmentsai_object(segment, box.name)
         | {"type": "cuboid", "position": _named("x y z", box.center), "dimensions": _named("x y z", box.size)}
-        | {"yaw": round(box.yaw, 6)}
+        | {"yaw": box.yaw}
         for segment, box in boxes.items()
     ]
     return {"format_version": "0.2", "annotations": annotations}
 
 
-def datumaro_record(boxes: Iterable[Box]) -> dict[str, Any]:
+def datumaro_record(boxes: Collection[Box]) -> dict[str, Any]:
     """The record of format Datumaro 3D, which CVAT reads and writes (docs.cvat.ai, formats): angles are radians.
 
     CVAT puts the boxes into the frame that `attr` names: the first one of a task, whatever its file.
     """
-    boxes = list(boxes)
     names = sorted({box.name for box in boxes})
     cuboids = [
         {"id": number, "type": "cuboid_3d", "attributes": {"occluded": False}, "group": 0}
-        | {"label_id": names.index(box.name), "position": _rounded(box.center)}
-        | {"rotation": [0.0, 0.0, round(box.yaw, 6)], "scale": _rounded(box.size)}
+        | {"label_id": names.index(box.name), "position": [*box.center]}
+        | {"rotation": [0.0, 0.0, box.yaw], "scale": [*box.size]}
         for number, box in enumerate(boxes)
     ]
     cloud = {"id": "points", "attr": {"frame": 0}, "point_cloud": {"path": "points.pcd"}, "annotations": cuboids}
@@ -167,6 +179,8 @@ def _of_labelcloud(record: Any) -> tuple[Any, list[Any], list[float]]:
     center = [record["centroid"][name] for name in "xyz"]
     size = [record["dimensions"][name] for name in ("length", "width", "height")]
     turns = [math.radians(float(record["rotations"][name])) for name in "xyz"]
+    if -math.radians(math.pi) <= turns[2] < 0:  # labelCloud's degrees are 0 to 360
+        raise ValueError("angles of centroid_rel, which are radians; save it as centroid_abs")
     return record["name"], [*center, *size, turns[2]], [math.sin(turn / 2) for turn in turns[:2]]
 
 
@@ -201,22 +215,12 @@ def _box(name: Sequence[Any], numbers: Sequence[Any], where: str) -> Box:
         values = [float(value) for value in numbers]
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{where}: expected seven numbers, got {list(numbers)!s:.80}") from error
-    if len(values) != 7 or len(name) != 1 or not isinstance(name[0], str):
+    if len(values) != 7 or len(name) != 1 or not isinstance(name[0], str) or printable(name[0]) != name[0]:
         raise ValueError(f"{where}: expected x y z dx dy dz heading name, got {[*numbers, *name]!s:.120}")
     if not all(map(math.isfinite, values)) or min(values[3:6]) < 0:
         raise ValueError(f"{where}: expected finite numbers and sizes of at least 0, got {values}")
-    if printable(name[0]) != name[0]:
-        raise ValueError(f"{where}: name: expected a text, got {name[0]!r}")
     return Box(name[0].strip(), tuple(values[:3]), tuple(values[3:6]), values[6])
 
 
 def _named(names: str, values: Sequence[float]) -> dict[str, float]:
-    return dict(zip(names.split(), _rounded(values), strict=True))
-
-
-def _rounded(values: Sequence[float]) -> list[float]:
-    return [round(value, 6) for value in values]
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return " ".join(f"{value:.4f}" for value in values)
+    return dict(zip(names.split(), values, strict=True))

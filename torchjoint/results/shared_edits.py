@@ -43,10 +43,9 @@ def read_point_labels(file: Path, num_points: int) -> ForeignLabels | None:
     if "point_annotations" not in record:
         return None
     of_point, names = record.integers("point_annotations"), []
-    if len(of_point) != num_points:
-        raise ValueError(f"{file}: point_annotations: expected ids >= 0 of {num_points} points, got {len(of_point)}")
-    if (lowest := int(of_point.min(initial=0))) < 0:
-        raise ValueError(f"{file}: point_annotations: expected ids >= 0, got {lowest}")
+    if len(of_point) != num_points or (of_point < 0).any():
+        got = f"{len(of_point)}, the least {of_point.min(initial=0)}"
+        raise ValueError(f"{file}: point_annotations: expected ids >= 0 of {num_points} points, got {got}")
     for one in record.records("annotations"):
         if "attributes" in one and "name" in one.record("attributes"):
             name = one.record("attributes").text("name").strip()
@@ -94,8 +93,7 @@ def edits_of_points(parts: Parts, before: Edits, labels: ForeignLabels) -> tuple
         for one, name in sorted(labels.names.items())
         if one in place and _told(name) and _told(name) != names.get(int(table[place[one]]), "").strip()
     ]
-    lost = int((labelled & (labels.of_point != of_superpoint[parts.of_point])).sum())
-    return (*gathered, *named), lost
+    return (*gathered, *named), int((labelled & (labels.of_point != of_superpoint[parts.of_point])).sum())
 
 
 def _most(group: Table, ids: Table, count: int) -> Table:
@@ -151,10 +149,9 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray
         holder = next((number for number in by_size if held[number] > INSIDE), None)
         if holder is not None:
             steps.append(Edit("join", (int(place[segment_of[holder]]), int(place[segment]))))
-    stayed = len(own) - len(set(segment_of.values())) - len(steps)
     empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
     names = edits_of_names(result, {one: boxes[number].name for number, one in segment_of.items()}, superpoint)
-    return BoxEdits((*steps, *names), len(steps), len(names), empty, stayed)
+    return BoxEdits((*steps, *names), len(steps), len(names), empty, len(own) - len(segment_of) - len(steps))
 
 
 def read_names(file: Path, result: Result) -> dict[int, str] | None:

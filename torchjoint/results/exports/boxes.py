@@ -161,25 +161,26 @@ def export_openpcdet(path: Path, result: Result) -> None:
 
 
 @on_cpu()
-def export_labelcloud(path: Path, result: Result, cloud: Path | None = None) -> None:
-    """Writes the boxes as labelCloud reads them (format centroid_abs); its cloud is ``points.ply`` of the result.
+def export_labelcloud(path: Path, result: Result) -> None:
+    """Writes the boxes as labelCloud reads them (format centroid_abs); its cloud is ``points.ply`` of the result."""
+    write_text(path, json.dumps(boxes.labelcloud_record(boxes.boxes_of(result).values()), indent=1))
 
-    `cloud` is where labelCloud finds it; default: beside `path`, with the same name.
-    """
-    record = boxes.labelcloud_record(boxes.boxes_of(result).values(), cloud or path.with_suffix(".ply"))
-    write_text(path, json.dumps(record, indent=1, ensure_ascii=False))
+
+def export_labelcloud_classes(path: Path, result: Result) -> None:
+    """Writes the ``_classes.json`` that labelCloud looks for beside its labels: the names, and the format."""
+    write_text(path, json.dumps(boxes.labelcloud_classes(result.segment_names.values()), indent=1))
 
 
 @on_cpu()
 def export_cuboids(path: Path, result: Result) -> None:
     """Writes the boxes as a label of cuboids of Segments.ai; its cloud is ``points.ply`` of the result."""
-    write_text(path, json.dumps(boxes.segmentsai_label(boxes.boxes_of(result)), indent=1, ensure_ascii=False))
+    write_text(path, json.dumps(boxes.segmentsai_label(boxes.boxes_of(result)), indent=1))
 
 
 @on_cpu()
 def export_cvat(path: Path, result: Result) -> None:
     """Writes the boxes as CVAT reads them (format Datumaro 3D); its cloud is ``points.ply`` of the result, as .pcd."""
-    write_text(path, json.dumps(boxes.datumaro_record(boxes.boxes_of(result).values()), ensure_ascii=False))
+    write_text(path, json.dumps(boxes.datumaro_record(boxes.boxes_of(result).values())))
 
 
 @on_cpu()
@@ -191,4 +192,4 @@ def export_point_labels(path: Path, result: Result) -> None:
         "annotations": [boxes.segmentsai_object(one, result.segment_names.get(one, "")) for one in found],
         "point_annotations": (result.points + 1).clamp(min=0).tolist(),
     }
-    write_text(path, json.dumps(label, ensure_ascii=False))
+    write_text(path, json.dumps(label))
