@@ -179,6 +179,20 @@ def test_one_image_of_another_size(pattern, box, sample, tmp_path):
         list(tj.load_scene(path).frames)
 
 
+@pytest.mark.parametrize("box", [(0, 0, 14, 11), (0, 0, 8, 6)])
+@pytest.mark.parametrize(("name", "pattern"), [("folder", "frame-000001.color.*"), ("tum", "rgb/*.png")])
+def test_one_camera_and_an_image_of_another_size(name, pattern, box, sample):
+    """Without depth, nothing told that the camera is not that of a smaller image."""
+    path = sample(name)
+    for file in [*path.glob("*depth*"), *path.glob("depth/*")]:
+        if file.is_file():
+            file.unlink()
+    file = sorted(path.glob(pattern))[-1]
+    resize(file, box, box[2:])
+    with pytest.raises(ValueError, match=rf"{file.name}: expected \[12, 16\] pixels, as .* has, got"):
+        list(tj.load_scene(path).frames)
+
+
 def test_cropped_depth_of_one_calibration(sample, tmp_path):
     path = sample("posed_images")
     (path / "depth_intrinsic.txt").unlink()
@@ -260,7 +274,7 @@ def test_lost_images_of_scannetpp(name, sample):
 def test_truth_of_another_size_than_its_image(name, file, sample):
     path = sample(name)
     resize(path / file, (0, 0, 12, 12), (12, 12))
-    with pytest.raises(ValueError, match=rf"{file}: expected \[12, 16\] pixels, as its image has, got \[12, 12\]"):
+    with pytest.raises(ValueError, match=rf"{file}: expected \[12, 16\] pixels, as .*color.* has, got \[12, 12\]"):
         list(tj.load_scene(path).truth.images)
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera
 from torchjoint.datasets.files.clouds import read_cloud_file, up_of
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.datasets.files.readers import files_below, read_depth, read_image, read_label_image
+from torchjoint.datasets.files.readers import files_below, of_size, read_depth, read_image, read_label_image
 from torchjoint.datasets.fusion import fuse_or_recall
 from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
 from torchjoint.runtime.outputs import Output
@@ -129,6 +129,7 @@ class Shot(NamedTuple):
     depth: Path | Callable[[], Tensor | None] | None = None  #: 16-bit, none if the file is not there; or what reads it
     unit: float = 0.001  #: of a depth file, metres
     labels: Path | None = None  #: an initial segmentation, 0 = none; none if the file is not there
+    first: Path | None = None  #: of the images of a camera without a size: all have its size
 
     def has_depth(self) -> bool:
         """Whether there is a depth image."""
@@ -140,6 +141,8 @@ class Shot(NamedTuple):
         if self.depth is not None and self.has_depth():
             depth = read_depth(self.depth, self.unit) if isinstance(self.depth, Path) else self.depth()
         image = read_image(self.color, self.camera.size) if isinstance(self.color, Path) else self.color()
+        if self.first is not None:
+            image = of_size(image, self.color, self.first)
         frame = self.camera.frame(image, self.world_to_camera, depth, self.name)
         if self.labels is None or not has_file(self.labels):
             return frame

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import resize_nearest
 from torchjoint.datasets.files.binary import Members
-from torchjoint.datasets.files.readers import decode_image, labels_of, read_image_size, read_label_image
+from torchjoint.datasets.files.readers import decode_image, labels_of, of_size, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
 from torchjoint.datasets.recording import tell_not_read
 from torchjoint.runtime import bounds
@@ -62,14 +62,6 @@ def point_instances(
     return torch.from_numpy(objects[segment_of_point])
 
 
-def read_labels(file: Path, size: tuple[int, ...]) -> Tensor:
-    """Reads a label image of an image of `size`, (H, W)."""
-    labels = read_label_image(file)
-    if labels.shape != size:
-        raise ValueError(f"{file}: expected {list(size)} pixels, as its image has, got {list(labels.shape)}")
-    return labels
-
-
 def label_images(files: Sequence[Path], what: str, images: Sequence[Path]) -> Sequence[Tensor]:
     """Label images [H, W] int64 of frames, in files in which 0 means none, as -1; lazy; empty if there is no file."""
     missing = [file for file in files if not has_file(file)]
@@ -78,7 +70,9 @@ def label_images(files: Sequence[Path], what: str, images: Sequence[Path]) -> Se
     if missing:
         tell_not_read(files[0].parent, what.rstrip("s"), f"an image of {what}")
         return ()
-    return LazySequence(len(files), lambda index: read_labels(files[index], read_image_size(images[index])) - 1)
+    return LazySequence(
+        len(files), lambda index: of_size(read_label_image(files[index]), files[index], images[index]) - 1
+    )
 
 
 def image_instances(folder: Path, scan: str, frames: LazySequence[Frame]) -> Sequence[Tensor]:

@@ -88,6 +88,13 @@ def read_image_size(path: Path) -> tuple[int, int]:
     return image.height, image.width
 
 
+def of_size(image: Tensor, file: object, other: Path) -> Tensor:
+    """Returns an image [..., H, W] of a file, which must have the size of another file's image."""
+    if (came := tuple(image.shape[-2:])) != (size := read_image_size(other)):
+        raise ValueError(f"{file}: expected {list(size)} pixels, as {other.name} has, got {list(came)}")
+    return image
+
+
 def read_depth(path: Path, unit: float = 0.001) -> Tensor:
     """Reads a 16-bit depth image, one step = `unit` metres, as [H, W] float32 metres; 0 and 65535 give 0 = unknown."""
     image = read_raster(path)

@@ -18,10 +18,9 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, checked_pose, invert_pose
-from torchjoint.datasets.files.readers import read_image_size
+from torchjoint.datasets.files.readers import of_size, read_image_size, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_unlisted
-from torchjoint.datasets.truth import read_labels
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene
@@ -85,7 +84,7 @@ def _truth(path: Path, shots: Sequence[Shot]) -> Sequence[Tensor]:
         labels = torch.full(read_image_size(image), -1, dtype=torch.int64)
         for place, instance in enumerate(instances[index]):
             file = path / "mask_visib" / f"{shots[index].name}_{place:06d}.png"
-            labels[read_labels(file, labels.shape) > 0] = instance
+            labels[of_size(read_label_image(file), file, image) > 0] = instance
         return labels
 
     return LazySequence(len(shots), read)

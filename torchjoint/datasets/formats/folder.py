@@ -61,7 +61,7 @@ def read_frames(path: Path) -> recording.Frames:
         warnings.warn(f"labels: {len(without)} of {len(poses)} frames have no .labels.png", stacklevel=4)
     beside = [[_beside(color, f".{what}.png") for what in ("depth", "labels")] for color in poses]
     shots = [
-        recording.Shot(color, camera, pose, _stem(color), depth, labels=labels)
+        recording.Shot(color, camera, pose, _stem(color), depth, labels=labels, first=next(iter(poses)))
         for (color, pose), (depth, labels) in zip(poses.items(), beside, strict=True)
     ]
     return recording.read_shots(shots)

@@ -33,7 +33,7 @@ from torch import Tensor
 from torchjoint.datasets import recording
 from torchjoint.datasets.cameras import pinhole_matrix, register_depth, stretch_intrinsics, world_to_camera
 from torchjoint.datasets.files.binary import BinaryFile
-from torchjoint.datasets.files.readers import decode_image, read_depth, read_image, read_image_size, read_matrix, rgb_of
+from torchjoint.datasets.files.readers import decode_image, of_size, read_depth, read_image, read_matrix, rgb_of
 from torchjoint.datasets.files.text import Record, parse_numbers
 from torchjoint.datasets.truth import image_instances, vertex_instances
 from torchjoint.runtime import bounds
@@ -145,15 +145,10 @@ def frames_of(
     recording.tell_lost(str(folder), (file.stem for file in beside[0].glob("*.txt") if file.stem.isdigit()), names)
     files, depths = [beside[0] / f"{name}.txt" for name in names], [beside[1] / f"{name}.png" for name in names]
 
-    firsts = [file for file in (next(filter(has_file, one), None) for one in (images, depths)) if file is not None]
-    sizes = [read_image_size(file) for file in firsts]
-
     def read(index: int) -> tuple[Tensor, Tensor | None]:
-        image, depth = read_image(images[index]), read_depth(depths[index]) if has_file(depths[index]) else None
-        for file, one, first, size in zip((images[index], depths[index]), (image, depth), firsts, sizes, strict=False):
-            if one is not None and (came := tuple(one.shape[-2:])) != size:
-                raise ValueError(f"{file}: expected {list(size)} pixels, as {first.name} has, got {list(came)}")
-        return image, depth
+        color, depth = images[index], depths[index]
+        image = of_size(read_image(color), color, images[0])
+        return image, of_size(read_depth(depth), depth, next(filter(has_file, depths))) if has_file(depth) else None
 
     poses = [(str(file), read_matrix(file, (4, 4))) for file in files]
     return _frames(folder, names, poses, cameras, read, lambda index: has_file(depths[index]))

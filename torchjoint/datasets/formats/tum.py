@@ -68,7 +68,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
         color, depth = images[index], depths[depth_of[index]][1] if index in depth_of else None
         for file in (color, depth or color):
             present(file, "the image that rgb.txt or depth.txt lists")
-        shots.append(Shot(color, camera, invert_pose(pose), name, depth, DEPTH_UNIT))
+        shots.append(Shot(color, camera, invert_pose(pose), name, depth, DEPTH_UNIT, first=images[kept[0][0]]))
     return read_shots(shots)
 
 
