@@ -74,6 +74,20 @@ def test_scans_and_odometry(tmp_path):
     assert [frame.world_to_camera[0, 3].item() for frame in scene.frames] == [0, -1]
 
 
+@pytest.mark.parametrize("is_chosen", [False, True])
+def test_depth_of_another_frame_is_told(is_chosen, tmp_path):
+    """Depth that is not registered to colour is not used by itself, and never silently."""
+    messages = list(ros.messages())
+    for topic, _, message in messages:
+        if topic == "/camera/aligned_depth":
+            message.header.frame_id = "depth_optical"
+    bag, topics = ros.record(tmp_path / "bag", messages), {"depth": "/camera/aligned_depth"} if is_chosen else {}
+    told = "/camera/aligned_depth: depth of frame 'depth_optical', not of the images' 'camera_optical': register it"
+    with pytest.warns(UserWarning, match=told):
+        frames = tj.load_scene(bag, topics=topics, fuse=False).frames
+    assert (frames[0].depth is not None) == is_chosen
+
+
 def test_ambiguous_topics_are_chosen(tmp_path):
     messages = list(ros.messages())
     other = [("/rear/image_raw", time, message) for topic, time, message in messages if topic == "/camera/image_raw"]

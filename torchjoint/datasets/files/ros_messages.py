@@ -185,10 +185,6 @@ class Poses:
         """Whether a frame moves in the world: its transform, or one above it in the tree, changes over time."""
         return any(len({tuple(row[1:]) for row in self._rows[one].values()}) > 1 for one in self._chain(frame))
 
-    def names(self, frame: str) -> bool:
-        """Whether there is a transform of this frame."""
-        return bool(self._chain(frame))
-
     def root(self, frame: str) -> str:
         """The frame at the root of a frame's tree."""
         return self._parents[chain[-1]] if (chain := self._chain(frame)) else frame.lstrip("/")

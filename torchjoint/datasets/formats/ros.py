@@ -105,8 +105,11 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
     info = _only("info", infos[:1] if same else infos, chosen, bag)
     if info is None:
         raise ValueError(f"{bag.path}: expected a topic of CameraInfo for {color}, got {', '.join(bag.kinds)}")
-    depths = [topic for topic, head in heads.items() if messages.is_depth(head) and _frame(head) == frame]
-    depth = _only("depth", depths, chosen, bag)
+    depths = [topic for topic, head in heads.items() if messages.is_depth(head)]
+    depth = _only("depth", [topic for topic in depths if _frame(heads[topic]) == frame], chosen, bag)
+    for topic in (one for one in depths if _frame(heads[one]) != frame and depth in (None, one)):
+        told = f"depth of frame {_frame(heads[topic])!r}, not of the images' {frame!r}: register it to {color}"
+        warnings.warn(f"{bag.path}: {topic}: {told}; --topics depth={topic} takes it as registered", stacklevel=3)
     points = _only("points", bag.topics(POINTS) if depth is None else (), chosen, bag)
     best = () if poses.moves(frame) else next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
     odometry = _only("odometry", best, chosen, bag)
@@ -121,7 +124,7 @@ def _check_poses(bag: Bag, topics: _Topics, poses: messages.Poses, frame: str) -
     if poses.moves(frame) or len(bag.stamps(topics.color)) < 2:
         return
     way_out = "if it stood still, --topics odometry=none says so"
-    if not poses.names(frame):
+    if poses.root(frame) == frame:
         raise ValueError(
             f"{bag.path}: expected poses of the camera, frame {frame!r}, in tf, or as "
             f"{', '.join(kind.rpartition('/')[2] for kind in messages.ODOMETRY)}, got "
@@ -211,10 +214,9 @@ def _merged_scans(bag: Bag, topic: str, poses: messages.Poses, voxel_size: float
             points, colors, thinned = points[kept], colors[kept], len(kept)
     if not len(points):
         raise ValueError(f"{bag.path}: no scan of {topic} has points and a pose within {poses.limit} s")
-    total = bag.counts[topic]
     for count, of, told in (
         (len(stamps) - used, len(stamps), f"scans have no pose within {poses.limit} s"),
-        (total - len(stamps), total, "scans have the time of another in their header"),
+        (bag.counts[topic] - len(stamps), bag.counts[topic], "scans have the time of another in their header"),
         (without, given, "points are (0, 0, 0), beams without return"),
         (colored and used - colored, used, "scans have no colours, so those of the others"),
     ):
