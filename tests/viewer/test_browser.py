@@ -867,7 +867,7 @@ def place_in_shared_cloud(page, of_point):
     places = np.stack([box["width"] / 2 + focal * x / z, box["height"] / 2 - focal * y / z], axis=1)
     near = cKDTree(places).query(places, k=60)[1]
     inside = (of_point[near] == of_point[:, None]).all(1) & (z > 0)
-    first = np.nonzero(inside & (z[near].max(1) - z[near].min(1) < 0.02 * away))[0]
+    first = np.nonzero(inside & (z[near].max(1) - z[near].min(1) < 0.04 * away))[0]
     chosen = first[np.argmin(np.abs(places[first] - places[first].mean(0)).sum(1))]
     return of_point[chosen], (places[chosen] + [box["x"], box["y"]]).tolist()
 

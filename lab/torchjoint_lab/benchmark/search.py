@@ -18,6 +18,7 @@ from torchjoint.scene import Scene, Truth
 from torchjoint_lab.benchmark.case import Case
 from torchjoint_lab.benchmark.method import Method, Result
 from torchjoint_lab.benchmark.space import Setting, draw, near
+from torchjoint_lab.evaluation.partial_truth import knows_points
 from torchjoint_lab.evaluation.scores import Scores, score, score_images
 
 
@@ -105,7 +106,7 @@ def score_result(result: Result, scene: Scene) -> dict[str, Scores]:
     """Returns scores by "3D" and "2D", where there are both labels and ground truth."""
     truth = scene.truth or Truth()
     scores = {}
-    if result.points is not None and truth.points is not None and truth.has_points:
+    if result.points is not None and truth.points is not None and knows_points(truth):
         scores["3D"] = score(result.points, truth.points)
     if len(result.images) and len(truth.images):
         in_2d = score_images(result.images, truth.images)
@@ -120,7 +121,7 @@ def _judged(scores: dict[str, Scores], space: str) -> float:
 
 def _has_truth(case: Case) -> bool:
     truth = case.scene.truth or Truth()
-    return truth.has_points or any(int(image.max()) >= 0 for image in truth.images)
+    return knows_points(truth) or any(int(image.max()) >= 0 for image in truth.images)
 
 
 def _key(method: Method, suite: str, cases: Sequence[Case], seed: int) -> str:

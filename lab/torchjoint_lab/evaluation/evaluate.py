@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchjoint.scene import Scene
 from torchjoint_lab.evaluation.levels import score_levels
+from torchjoint_lab.evaluation.partial_truth import knows_points
 from torchjoint_lab.evaluation.predictions import Prediction
 from torchjoint_lab.evaluation.scores import Scores, score, score_images
 from torchjoint_lab.evaluation.table import Row
@@ -21,12 +22,12 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
         ValueError: the scene has no ground truth for the predicted points or images, or sizes do not fit.
     """
     truth = scene.truth
-    if truth is None or not (truth.has_points or len(truth.images)):
+    if truth is None or not (knows_points(truth) or len(truth.images)):
         raise ValueError(f"{name}: expected a scene with ground truth, got one without")
     rows = []
     if prediction.points is not None and truth.points is not None:
         known = truth.select_points(prediction.of_points)
-        if known.points is not None and known.has_points:
+        if known.points is not None and knows_points(known):
             _tell_other_order(scene.points[prediction.of_points], known.points, name)
             rows.append(Row(name, method, "3D", score(prediction.points, known.points)))
     if len(prediction.images) and len(truth.images):
@@ -61,7 +62,7 @@ def evaluate_levels(prediction: Prediction, scene: Scene) -> list[Scores]:
     if prediction.hierarchy is None or truth is None or truth.points is None:
         return []
     known = truth.select_points(prediction.of_points)
-    return score_levels(prediction.hierarchy, known.points) if known.points is not None and known.has_points else []
+    return score_levels(prediction.hierarchy, known.points) if known.points is not None and knows_points(known) else []
 
 
 def left_out(prediction: Prediction, scene: Scene) -> str:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchjoint.metrics.overlaps import overlap_tables, renumber_by_value
 from torchjoint.scene import Truth
+from torchjoint_lab.evaluation.partial_truth import knows_points
 
 #: Instances with fewer points are ignored: nearly nothing of them was seen.
 MIN_POINTS = 20
@@ -27,7 +28,7 @@ def best_iou_by_kind(points: Tensor, truth: Truth) -> dict[str, float]:
     Raises:
         TypeError, ValueError: as :func:`torchjoint.metrics.mean_best_iou`.
     """
-    if not truth.kinds or truth.points is None or not truth.has_points:
+    if not truth.kinds or truth.points is None or not knows_points(truth):
         return {}
     table = overlap_tables(points, truth.points)[1][0]
     scores = zip(_instances(truth.points), table.best_iou_of_target.tolist(), table.target_area.tolist(), strict=True)

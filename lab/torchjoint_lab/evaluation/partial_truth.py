@@ -13,6 +13,12 @@ from torch import Tensor
 
 from torchjoint.metrics.objects_and_parts import objects_and_parts_of
 from torchjoint.metrics.overlaps import Overlaps
+from torchjoint.scene import Truth
+
+
+def knows_points(truth: Truth) -> bool:
+    """Whether the instance of any point is known."""
+    return truth.points is not None and bool((truth.points >= 0).any())
 
 
 class PartialTruth(NamedTuple):

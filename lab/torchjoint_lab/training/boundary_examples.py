@@ -21,6 +21,7 @@ from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundar
 from torchjoint.segments.learned.superpoint_graph import SuperpointGraph
 from torchjoint.segments.learned.superpoints import build_superpoint_graph
 from torchjoint.views.observations import Observations
+from torchjoint_lab.evaluation.partial_truth import knows_points
 
 #: How the names of the features begin that need images, and of those that need colours.
 IMAGE_FEATURES = (
@@ -134,7 +135,7 @@ def labelled_evidence(scene: Scene, config: Config | None = None, images: bool =
     Raises:
         ValueError: the instance of no point is known.
     """
-    if scene.truth is None or scene.truth.points is None or not scene.truth.has_points:
+    if scene.truth is None or scene.truth.points is None or not knows_points(scene.truth):
         raise ValueError(f"scenes: {scene.name or 'a scene'} has no true instances of points to learn from")
     segmenter = JointSegmenter(learned_config(config))
     segmenter.reset(scene.points, scene.colors, scene.normals)
