@@ -61,7 +61,7 @@ def upright_points(scene: Scene) -> Array:
 
 
 def boxes_of(result: Result) -> dict[int, Box]:
-    """The box with the smallest base around each segment of FEWEST points, by its id, of the :func:`upright_points`."""
+    """The upright box with the smallest base of each segment of FEWEST or more of the :func:`upright_points`, by id."""
     points, parts, boxes = upright_points(result.scene), members(result), {}
     if few := sum(0 < len(part) < FEWEST for part in parts):
         warnings.warn(f"{few} segments of fewer than {FEWEST} points have no box", stacklevel=5)
