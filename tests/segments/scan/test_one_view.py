@@ -118,6 +118,18 @@ def test_a_large_room_whose_floor_is_at_0_is_none():
     assert not look_for_scan(points).is_scan
 
 
+@pytest.mark.parametrize("thickness", [0.02, 0.05, 0.1])
+def test_both_sides_of_a_floor_are_none(thickness):
+    """A model of a building, sampled; seen from the floor's own height, its two sides look like two rings."""
+    places = torch.rand((5000, 3), generator=torch.Generator().manual_seed(0)) * torch.tensor([5.0, 5.0, 2.5])
+    floor = torch.cat([places[:, :2], -thickness * (places[:, 2:] > 1.25)], 1)
+    walls = places.clone()
+    for i, (axis, place) in enumerate([(0, 0.0), (0, 5.0), (1, 0.0), (1, 5.0)]):
+        walls[1250 * i :][:1250, axis] = place
+    for points in (floor, torch.cat([floor, walls])):
+        assert not look_for_scan(points).is_scan
+
+
 def test_depth_images_and_fused_clouds_are_none(shared):
     assert not look_for_scan(load_scene(shared / "data/ycb").points).is_scan
     paths = sorted((shared / "data/mosd").glob("*.pcd"))[::5]

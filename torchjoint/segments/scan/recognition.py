@@ -38,6 +38,8 @@ WINDOWS = 72
 BIN = 0.02
 #: Largest angle between two beams, degrees.
 LARGEST_STEP = 2.4
+#: Number of differences of elevation, in bins, at which pairs are counted: to twice the largest angle and some more.
+NUM_LAGS = round(2.5 * LARGEST_STEP / BIN)
 #: Width of the neighbourhood, degrees, whose mean density of points gives the expected number of pairs.
 AROUND = 4.0
 #: Smallest angle between two beams, in bins.
@@ -55,6 +57,9 @@ PEAK_SHARE = 0.4
 #: Both halves of a scan must have a peak at this angle, within this share of it. In other clouds peaks are random, and
 #: the halves have them at different angles.
 SAME_STEP = 0.15
+#: At twice the angle is a peak, too, of at least this share of the first: scans have .7 or more. The two sides of a
+#: floor, seen from its own height, are two rings that do not repeat.
+REPEATED = 0.6
 #: Smallest expected number of pairs in a bin of differences: with fewer, chance alone makes peaks.
 LEAST_PAIRS = 25.0
 #: Smallest number of windows with points (8 windows are 40 degrees), and smallest number of points in such a window.
@@ -94,14 +99,17 @@ def find_rings(points: Tensor, seen: Directions | None = None) -> Rings | None:
         if int((counts.sum(1) >= LEAST_IN_WINDOW).sum()) < LEAST_WINDOWS:
             return None
         # Found window by window, once for all windows and for the halves.
-        length = counts.shape[1] + round(LARGEST_STEP / BIN)  # differences do not wrap around
+        length = counts.shape[1] + NUM_LAGS  # differences do not wrap around
         length += -length % FAST_LENGTH
         found = torch.fft.rfft(torch.stack([counts, _smooth(counts)], dim=1), n=length)
         power = (found * found.conj()).real
         size = counts.sum(1)
-        step = _ring_step(_pair_density(power, size, length))
+        density = _pair_density(power, size, length)
+        step = _ring_step(density)
+        if step is None or _peak(density, 2 * step) < max(LEAST_PEAK, REPEATED * _peak(density, step)):
+            return None
         halves = (slice(None, _middle(size)), slice(_middle(size), None))
-        if step is None or not all(_has_step(_pair_density(power[half], size[half], length), step) for half in halves):
+        if not all(_has_step(_pair_density(power[half], size[half], length), step) for half in halves):
             return None
         number = _count_rings(window, elevation, step)
         return Rings(math.radians(step), number) if NUM_RINGS[0] <= number <= NUM_RINGS[1] else None
@@ -135,16 +143,15 @@ def _pair_density(power: Tensor, size: Tensor, length: int) -> Tensor:
         size: [R] number of points in each window.
         length: of the padded rows.
     """
-    num_lags = round(LARGEST_STEP / BIN)
-    pairs, expected = torch.fft.irfft(power.sum(0), n=length)[:, :num_lags]
+    pairs, expected = torch.fft.irfft(power.sum(0), n=length)[:, :NUM_LAGS]
     pairs[0] -= size.sum()  # a point is no pair with itself
     return torch.where(expected >= LEAST_PAIRS, pairs / expected.clamp(min=1.0), 0.0)
 
 
 def _ring_step(density: Tensor) -> float | None:
     """Degrees between two rings: the first high peak behind a dip; None if there is none."""
-    lowest = density[FIRST:].cummin(0).values
-    behind = density[FIRST:]
+    behind = density[FIRST : round(LARGEST_STEP / BIN)]
+    lowest = behind.cummin(0).values
     least = max(LEAST_PEAK, LEAST_RECURRENCE * float(density[0]))
     is_peak = (behind >= least) & (lowest <= LARGEST_DIP)
     if not bool(is_peak.any()):
@@ -164,9 +171,14 @@ def _middle(size: Tensor) -> int:
 
 def _has_step(density: Tensor, step: float) -> bool:
     """Whether there is a peak at about this angle, behind a dip."""
-    low, high = (round(step * (1 + side * SAME_STEP) / BIN) for side in (-1, 1))
-    dip = float(density[FIRST : max(low, FIRST + 1)].min())
-    return dip <= LARGEST_DIP and float(density[low : high + 1].max()) >= LEAST_PEAK
+    dip = float(density[FIRST : max(round(step * (1 - SAME_STEP) / BIN), FIRST + 1)].min())
+    return dip <= LARGEST_DIP and _peak(density, step) >= LEAST_PEAK
+
+
+def _peak(density: Tensor, angle: float) -> float:
+    """The largest density at about this angle."""
+    low, high = (round(angle * (1 + side * SAME_STEP) / BIN) for side in (-1, 1))
+    return float(density[low : high + 1].max())
 
 
 def _count_rings(window: Tensor, elevation: Tensor, step: float) -> int:
@@ -225,7 +237,7 @@ def dependence_on_range(points: Tensor) -> float:
         depth = -float(points[:, 2].kthvalue(1 + len(points) // 20).values)
         if depth <= 0 or not REACH[0] <= far / depth <= REACH[1]:
             return math.inf
-        return _growth(seen) + _contradiction(seen, ordered)
+        return max(0.0, _growth(seen)) + _contradiction(seen, ordered)  # numbers that fall excuse no contradiction
 
 
 def _growth(seen: Directions) -> float:
