@@ -54,12 +54,9 @@ LEAST_PEAK, LARGEST_DIP = 1.25, 0.6
 LEAST_RECURRENCE = 0.15
 #: The angle between two rings is that of the first peak whose height is at least this share of the highest peak.
 PEAK_SHARE = 0.4
-#: Both halves of a scan must have a peak at this angle, within this share of it. In other clouds peaks are random, and
-#: the halves have them at different angles.
-SAME_STEP = 0.15
-#: At twice the angle is a peak, too, of at least this share of the first: scans have .7 or more. The two sides of a
-#: floor, seen from its own height, are two rings that do not repeat.
-REPEATED = 0.6
+#: At twice the angle, within this share of it, is another peak; it has at least this share of the first one's height.
+#: Scans have .7 or more. In other clouds peaks are random, or alone: both sides of a floor, seen from its own height.
+SAME_STEP, REPEATED = 0.15, 0.6
 #: Smallest expected number of pairs in a bin of differences: with fewer, chance alone makes peaks.
 LEAST_PAIRS = 25.0
 #: Smallest number of windows with points (8 windows are 40 degrees), and smallest number of points in such a window.
@@ -98,18 +95,12 @@ def find_rings(points: Tensor, seen: Directions | None = None) -> Rings | None:
         counts = _histograms(window[used], elevation[used])
         if int((counts.sum(1) >= LEAST_IN_WINDOW).sum()) < LEAST_WINDOWS:
             return None
-        # Found window by window, once for all windows and for the halves.
         length = counts.shape[1] + NUM_LAGS  # differences do not wrap around
         length += -length % FAST_LENGTH
         found = torch.fft.rfft(torch.stack([counts, _smooth(counts)], dim=1), n=length)
-        power = (found * found.conj()).real
-        size = counts.sum(1)
-        density = _pair_density(power, size, length)
+        density = _pair_density((found * found.conj()).real.sum(0), counts.sum(), length)
         step = _ring_step(density)
         if step is None or _peak(density, 2 * step) < max(LEAST_PEAK, REPEATED * _peak(density, step)):
-            return None
-        halves = (slice(None, _middle(size)), slice(_middle(size), None))
-        if not all(_has_step(_pair_density(power[half], size[half], length), step) for half in halves):
             return None
         number = _count_rings(window, elevation, step)
         return Rings(math.radians(step), number) if NUM_RINGS[0] <= number <= NUM_RINGS[1] else None
@@ -135,16 +126,16 @@ def _smooth(counts: Tensor) -> Tensor:
     return (total[:, 2 * half + 1 :] - total[:, : -2 * half - 1]) / (2 * half + 1)
 
 
-def _pair_density(power: Tensor, size: Tensor, length: int) -> Tensor:
+def _pair_density(power: Tensor, num_points: Tensor, length: int) -> Tensor:
     """Density of pairs [D] at each difference, in bins; 1 = as for independent elevations, 0 = too few pairs.
 
     Args:
-        power: [R, 2, F] of R windows, their numbers of points and the same smoothed.
-        size: [R] number of points in each window.
+        power: [2, F] sums over the windows, of their numbers of points and of the same smoothed.
+        num_points: [] number of points.
         length: of the padded rows.
     """
-    pairs, expected = torch.fft.irfft(power.sum(0), n=length)[:, :NUM_LAGS]
-    pairs[0] -= size.sum()  # a point is no pair with itself
+    pairs, expected = torch.fft.irfft(power, n=length)[:, :NUM_LAGS]
+    pairs[0] -= num_points  # a point is no pair with itself
     return torch.where(expected >= LEAST_PAIRS, pairs / expected.clamp(min=1.0), 0.0)
 
 
@@ -161,18 +152,6 @@ def _ring_step(density: Tensor) -> float | None:
     # The peak's top, within half a step.
     top = first + int(behind[first : first + max(1, (first + FIRST) // 2)].argmax())
     return (FIRST + top) * BIN
-
-
-def _middle(size: Tensor) -> int:
-    """The number of the first windows that together have half of the points."""
-    done = size.cumsum(0)
-    return int((done < done[-1] / 2).sum()) + 1
-
-
-def _has_step(density: Tensor, step: float) -> bool:
-    """Whether there is a peak at about this angle, behind a dip."""
-    dip = float(density[FIRST : max(round(step * (1 - SAME_STEP) / BIN), FIRST + 1)].min())
-    return dip <= LARGEST_DIP and _peak(density, step) >= LEAST_PEAK
 
 
 def _peak(density: Tensor, angle: float) -> float:
