@@ -207,8 +207,9 @@ def read_folder(
     if not any(of_frame):
         if len(readers) == 1:
             next(iter(readers.values()))()  # its error may say why: a COCO data set
-        told = f"{folder}: no masks (.png, .npz, .json, or folders of .png) have the name of a frame"
-        raise ValueError(f"{told}: masks {_listed(sorted(readers))}; frames {_listed(names)}")
+        told = f"{folder}: no masks (.png, .npz, .json, or folders of .png) have the name of a frame; rename them"
+        found = f"masks {_listed(sorted(readers))}; frames {_listed(names)}"
+        raise ValueError(f"{told}, or convert a network's own files (examples/sam_masks.py): {found}")
     frames = LazySequence(len(names), lambda index: _with_masks(scene.frames[index], of_frame[index]), names)
     have, lack = ([i for i, one in enumerate(of_frame) if (one is None) == is_none] for is_none in (False, True))
     most = len(names) if max_frames is None else max_frames
