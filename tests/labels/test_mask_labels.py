@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
+from hand_graph import graph_of
 from torch import Tensor
 from torchjoint_lab.synthetic import with_network_masks
 
@@ -23,14 +26,18 @@ def box(top: int, left: int, bottom: int, right: int) -> Tensor:
     return mask
 
 
-def labelled(masks: list[Tensor], points: list[tuple[int, int, int]]) -> tuple[Tensor, int]:
-    """The labels of a grey image with masks, and points (row, column, 3D label)."""
+def labelled(
+    masks: list[Tensor], points: list[tuple[int, int, int]], spacing: Tensor | None = None
+) -> tuple[Tensor, int]:
+    """The labels of a grey image with masks, and points (row, column, 3D label), which lie a metre apart by default."""
     row, column, label = (torch.tensor(values) for values in zip(*points, strict=True))
     visible = Visible(torch.arange(len(row)), row, column, column.float(), row.float(), torch.ones(len(row)))
     found = Masks.from_stack(torch.stack(masks) if masks else torch.zeros(0, *SIZE, dtype=torch.bool))
     image, boundary = torch.full((3, *SIZE), 128, dtype=torch.uint8), (outlines(found.atom) * 255).byte()
     seen = Observation("", found.atom, visible, torch.eye(3), torch.eye(4), image, boundary, found)
-    return label_image(seen, label, torch.bincount(label, minlength=5), Config())
+    graph = graph_of(torch.zeros(len(row), 3), [[0, 1]], torch.zeros(len(row), 3))
+    graph = graph if spacing is None else replace(graph, known_spacing=spacing)
+    return label_image(seen, label, graph, torch.bincount(label, minlength=5), Config())
 
 
 def test_points_from_behind_do_not_split_a_mask() -> None:
@@ -85,6 +92,18 @@ def test_a_small_mask_is_a_part_of_a_thing_split_by_the_network() -> None:
     labels, next_free = labelled(parts, of_parts + [(r, c, 1) for r in (3, 4) for c in (9, 10, 11, 9)])
     assert (labels == 1).all()
     assert next_free == 5
+
+
+def test_a_thing_of_few_points_is_in_the_cloud() -> None:
+    """Its points lie far apart, so they cover its mask. Points that lie as close as others do not, and are stray."""
+    large, thing = box(0, 0, 8, 8), box(2, 9, 6, 12)
+    points = [(r, c, 1) for r in range(8) for c in range(8)] * 2 + [(2, 9, 2), (4, 10, 2), (5, 11, 2)]
+    labels, next_free = labelled([large, thing], points, torch.tensor([1.0] * 128 + [2.0] * 3))
+    assert (labels[thing] == 2).all()
+    assert next_free == 5
+    labels, next_free = labelled([large, thing], points)
+    assert torch.equal(labels == 5, thing)
+    assert next_free == 6
 
 
 def test_points_of_several_things_behind_a_mask_do_not_divide_it() -> None:

@@ -250,7 +250,9 @@ def test_masks_of_nearly_the_whole_image_are_told(tmp_path):
 
 def test_what_cannot_be_matched_is_an_error(tmp_path):
     write_labels(tmp_path / "x.png")
-    with pytest.raises(ValueError, match=r"no masks .*have the name of a frame; rename them, or .*: masks x; frames a, b"):
+    with pytest.raises(
+        ValueError, match=r"no masks .*have the name of a frame; rename them, or .*: masks x; frames a, b"
+    ):
         tj.masks.read_folder(tmp_path, scene_of("a", "b"))
     write_labels(tmp_path / "a.png")
     tj.masks.save_masks(tmp_path / "a.npz", tj.masks.from_stack(torch.zeros(0, *SIZE, dtype=torch.bool)))

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from torchjoint.cloud.graph import PointGraph
 from torchjoint.config import Config
 from torchjoint.labels.cuts import cut
 from torchjoint.labels.geodesic import SuperpointNumbers, propagate, propagate_superpoints
@@ -19,6 +20,7 @@ from torchjoint.views.observations import Observation, Observations
 def label_images(
     seen: Observations,
     point_labels: Tensor,
+    graph: PointGraph,
     config: Config,
     stopwatch: Stopwatch,
     hierarchy: Hierarchy | None = None,
@@ -30,6 +32,7 @@ def label_images(
     Args:
         seen: the frames.
         point_labels: [N] int64, 3D labels of all points.
+        graph: of the points.
         config: the refinement, and the image graph.
         stopwatch: records the seconds of each image.
         hierarchy: the levels of the points, if there are any; `point_labels` are of the default level.
@@ -49,7 +52,7 @@ def label_images(
         observation = seen[index]
         with stopwatch("image labels"):
             if numbers is None or observation.masks is not None:
-                refined, next_free = label_image(observation, point_labels, sizes, config)
+                refined, next_free = label_image(observation, point_labels, graph, sizes, config)
             else:
                 refined, next_free, superpoints = propagate_superpoints(observation, len(sizes), numbers, config)
                 known[index] = pack(superpoints)
@@ -62,12 +65,15 @@ def label_images(
     return LabelImages([image for image, _ in refined], len(sizes), offsets), known
 
 
-def label_image(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, config: Config) -> tuple[Tensor, int]:
+def label_image(
+    seen: Observation, point_labels: Tensor, graph: PointGraph, segment_sizes: Tensor, config: Config
+) -> tuple[Tensor, int]:
     """The final labels of one image, from the 3D labels of the points that it sees.
 
     Args:
         seen: the frame.
         point_labels: [N] int64, 3D labels of all points.
+        graph: of the points.
         segment_sizes: [S] int64, number of points of each 3D segment.
         config: the refinement, and the image graph.
 
@@ -79,5 +85,6 @@ def label_image(seen: Observation, point_labels: Tensor, segment_sizes: Tensor, 
     if config.point_segments.method == "paper":
         return cut(seen, labels_there, segment_sizes, config)
     if seen.masks is not None:
-        return label_masks(seen, seen.masks, labels_there, segment_sizes.shape[0], config)
+        spacing = graph.spacing[seen.visible.point]
+        return label_masks(seen, seen.masks, labels_there, spacing, segment_sizes.shape[0], config)
     return propagate(seen, labels_there, segment_sizes.shape[0], config)

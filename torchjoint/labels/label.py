@@ -70,7 +70,7 @@ def label(
     if not images:
         return Segmentation(points.given, (), seconds=dict(stopwatch.seconds), hierarchy=hierarchy)
     seen, count = evidence.observations[:], len(points.number)  # results keep them; more frames may follow
-    labels, known = label_images(seen, points.of_graph, config, stopwatch, levels, progress=progress)
+    labels, known = label_images(seen, points.of_graph, graph, config, stopwatch, levels, progress=progress)
     superpoints: Sequence[Tensor] = ()
     if levels is not None and superpoint_number is not None:
         superpoints = superpoint_images(labels, seen, levels, config, known)

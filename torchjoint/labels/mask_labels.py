@@ -18,8 +18,9 @@ from torchjoint.views.observations import Observation
 ONE_OBJECT = 0.65
 #: Path cost of crossing an outline of a mask, pixels: labels leave a mask only to pixels that no other label reaches.
 OUTLINE_WEIGHT = 200.0
-#: A mask shows an object that is not in the cloud if its points have less than this share of the usual density.
-SPARSE = 0.2
+#: A mask shows an object that is not in the cloud if its points cover less than this share of the usual part of it; or
+#: less than SPARSE_UNLESS_ONE, if they do not have one 3D label.
+SPARSE, SPARSE_UNLESS_ONE = 0.2, 0.5
 #: Smallest number of points that decide the label of a mask or an atom.
 MIN_POINTS = 3
 #: With at least this many points, a mask may be a part of an object that the image mostly shows elsewhere. Fewer points
@@ -52,7 +53,7 @@ class _Shown(NamedTuple):
 
 
 def label_masks(
-    seen: Observation, masks: Masks, point_labels: Tensor, num_segments: int, config: Config
+    seen: Observation, masks: Masks, point_labels: Tensor, spacing: Tensor, num_segments: int, config: Config
 ) -> tuple[Tensor, int]:
     """Labels an image by its masks and the points that it sees.
 
@@ -65,13 +66,14 @@ def label_masks(
         seen: the frame.
         masks: its masks.
         point_labels: [M] int64, 3D label of each visible point.
+        spacing: [M] metres, distance of each visible point to its neighbours.
         num_segments: number of 3D segments.
         config: the refinement, and the smoothing of the image graph.
 
     Returns:
         ([H, W] int32, the next free id); no pixel is -1, unless there is neither a point nor a mask.
     """
-    of_atom, num_private = _labels_of_atoms(seen, masks, point_labels, num_segments)
+    of_atom, num_private = _labels_of_atoms(seen, masks, point_labels, spacing, num_segments)
     of_pixel = of_atom.to(torch.int32)[masks.atom]
     markers = nearest_labels(seen.visible, point_labels, masks.size)
     # Labels of 3D segments spread. Ids that occur only in this image do not.
@@ -83,7 +85,9 @@ def label_masks(
     return torch.where(of_pixel >= num_segments, of_pixel, labels), num_segments + num_private
 
 
-def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, first_free: int) -> tuple[Tensor, int]:
+def _labels_of_atoms(
+    seen: Observation, masks: Masks, point_labels: Tensor, spacing: Tensor, first_free: int
+) -> tuple[Tensor, int]:
     """The label of each atom, [K] int64, -1 = not one object; and the number of masks with ids of their own."""
     atom = masks.atom[seen.visible.row, seen.visible.column].long()
     # Each point counts for all masks in which it lies.
@@ -95,7 +99,7 @@ def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, firs
     of_atoms = _winners(atom, point_labels, masks.num_atoms, shown)
     is_covered = member.any(1)
 
-    sparse = _is_sparse(masks, mask, seen.visible.z[point])
+    sparse = _is_sparse(masks, mask, (spacing / seen.visible.z)[point].double().square(), of_masks.decides)
     label = torch.where(of_atoms.decides & is_covered, of_atoms.label, -1)
     few = ~of_atoms.decides & (of_atoms.foreign | (of_atoms.num_points < ENOUGH_POINTS)) & is_covered
     around = masks.smallest(of_masks.decides)
@@ -111,20 +115,25 @@ def _labels_of_atoms(seen: Observation, masks: Masks, point_labels: Tensor, firs
     return label, len(kept)
 
 
-def _is_sparse(masks: Masks, mask: Tensor, depth: Tensor) -> Tensor:
-    """Whether each mask has far fewer points than others. Then its object is not in the cloud; its points are stray.
+def _is_sparse(masks: Masks, mask: Tensor, size: Tensor, is_one: Tensor) -> Tensor:
+    """Whether points cover much less of each mask than of others. Then its object is not in the cloud; they are stray.
 
-    Density is measured on surfaces (for fused clouds) and in the image (for scans). A mask is sparse if both are low.
-    `mask` [P], `depth` [P]: the masks in which points lie, and their z. [M] bool; True for masks without points.
+    A point covers a square whose side is its spacing, so that things with few points are in the cloud, too.
+
+    Args:
+        masks: M masks.
+        mask: [P] int64, the masks in which points lie.
+        size: [P] float64, size in the image of the square of each; unit: pixels of a camera with a focal length of 1.
+        is_one: [M] bool, whether the points have one 3D label.
+
+    Returns:
+        [M] bool; True for masks without points.
     """
-    area = masks.areas().clamp(min=1)
-    sparse = torch.ones(len(masks), dtype=torch.bool)
     if not len(mask):
-        return sparse
-    for weight in (torch.ones(len(mask), dtype=torch.float64), depth.double() ** -2):
-        density = torch.zeros(len(masks), dtype=torch.float64).index_add_(0, mask, weight) / area
-        sparse &= density < SPARSE * density[mask].median()  # the density around half of the points is lower
-    return sparse
+        return torch.ones(len(masks), dtype=torch.bool)
+    covered = torch.zeros(len(masks), dtype=torch.float64).index_add_(0, mask, size) / masks.areas().clamp(min=1)
+    usual = covered[mask].median()  # less is covered around half of the points
+    return covered < torch.where(is_one, SPARSE, SPARSE_UNLESS_ONE) * usual
 
 
 def _shown_labels(mask: Tensor, label: Tensor, point_labels: Tensor) -> _Shown:

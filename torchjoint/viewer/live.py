@@ -152,7 +152,7 @@ def labels_so_far(segmenter: JointSegmenter, scene: Scene, names: tuple[str, ...
         if index >= len(seen):
             return torch.full(scene.frames[index].size, -1)
         with torch.no_grad(), one_thread_per_operation():
-            own = label_image(seen[index], labels.of_graph, sizes, segmenter.config)[0].long()
+            own = label_image(seen[index], labels.of_graph, segmenter.graph, sizes, segmenter.config)[0].long()
         return torch.where((own >= 0) & (own < len(of_own)), of_own[own.clamp(0, len(of_own) - 1)], -1)
 
     return Segmentation(labels.given, LazySequence(len(scene.frames), image), names=names)
