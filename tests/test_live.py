@@ -106,6 +106,18 @@ def test_a_frame_without_depth_adds_only_evidence(frames):
     assert len(with_it.segmentation.points) == len(without.segmentation.points)
 
 
+def test_a_frame_that_fails_is_not_half_added(frames, monkeypatch):
+    segmenter = tj.LiveSegmenter(voxel_size=VOXEL)
+    for frame in frames:
+        with monkeypatch.context() as broken:
+            broken.setattr("torchjoint.live.segmenter.pack", lambda _: 1 / 0)
+            with pytest.raises(ZeroDivisionError):
+                segmenter.update(frame)
+        segmenter.update(frame)
+    assert segmenter.names == (expected := played(frames)).names
+    assert torch.equal(segmenter.result().labels, expected.result().labels)
+
+
 def test_masks_are_taken(frames):
     masks = torch.zeros(1, 48, 64, dtype=torch.bool)
     masks[:, 10:30, 10:30] = True

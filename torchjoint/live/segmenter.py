@@ -249,7 +249,7 @@ class LiveSegmenter(nn.Module):
     def update(self, frames: Frame | Sequence[Frame]) -> None:
         """Fuses the depth of one or several frames, and finds the segments of those that are keyframes.
 
-        A frame without depth adds only evidence.
+        A frame without depth adds only evidence. Of a frame that raises an error, nothing is added.
 
         Raises:
             ValueError: the surface has become too large; a camera is too far from the first one; or, after some
@@ -261,24 +261,24 @@ class LiveSegmenter(nn.Module):
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         for frame in frames:
-            if self._origin is None:
-                self._origin = volume_origin([frame], self._volume.voxel_size)
-            seen: list[int] = []
-            if frame.depth is not None:
-                with self.stopwatch("fusion"), self._lock:
-                    seen = add_frame(self._volume, frame, self._origin).tolist()
-                if self._views and not seen and float(frame.depth.max()) > UNLIKELY:
-                    told = "a frame's depth is beyond reach, and not fused: in millimetres, after others in metres?"
-                    warnings.warn(f"LiveSegmenter: {told}", stacklevel=2)
-            if self._is_keyframe(frame.world_to_camera, seen):
-                self._views.update(seen)
-                self._pose = frame.world_to_camera
-                self._compare(frame)
+            origin = volume_origin([frame], self._volume.voxel_size) if self._origin is None else self._origin
+            seen = [] if frame.depth is None else add_frame(self._volume, frame, origin, only_look=True).tolist()
+            if frame.depth is not None and self._views and not seen and float(frame.depth.max()) > UNLIKELY:
+                told = "a frame's depth is beyond reach, and not fused: in millimetres, after others in metres?"
+                warnings.warn(f"LiveSegmenter: {told}", stacklevel=2)
+            if is_keyframe := self._is_keyframe(frame.world_to_camera, seen):
                 bright = brightened_frame(frame)
                 (segments,) = self.image_segmenter([bright], self.stopwatch)
-                self._keep(Keyframe.packed(frame, bright, segments, MAX_DEPTH if self.keep_depth else None))
-            else:
-                self._compare_at_rest(frame)
+                kept = self._stored(Keyframe.packed(frame, bright, segments, MAX_DEPTH if self.keep_depth else None))
+            if frame.depth is not None:
+                with self.stopwatch("fusion"), self._lock:
+                    add_frame(self._volume, frame, origin)
+            self._origin = origin
+            if is_keyframe:  # here nothing can fail any more
+                self._views.update(seen)
+                self._pose = frame.world_to_camera
+                self._keyframes.append(kept)
+            (self._compare if is_keyframe else self._compare_at_rest)(frame)
 
     @torch.no_grad()
     @one_thread_per_operation()
@@ -403,18 +403,18 @@ class LiveSegmenter(nn.Module):
             ids.restore(values["ids"])
             self._volume.restore(values["volume"])
         self._origin, self._pose, self._views, self._to_compare, self._ids = origin, pose, views, frames, ids
-        self._keyframes, self._in_memory, self._file = [], 0, None
-        for keyframe in keyframes:
-            self._keep(keyframe)
+        self._in_memory, self._file = 0, None
+        self._keyframes = [self._stored(keyframe) for keyframe in keyframes]
 
-    def _keep(self, keyframe: Keyframe) -> None:
+    def _stored(self, keyframe: Keyframe) -> Keyframe:
+        """The same, in the file if there is no memory left."""
         size = keyframe.num_bytes
         if self._in_memory + size > self.memory:
             self._file = self._file or OffloadFile()
             keyframe, size = keyframe.offloaded(self._file), 0
             give_back()  # a tenth of a gigabyte that lies between the keyframes in memory
-        self._keyframes.append(keyframe)
         self._in_memory += size
+        return keyframe
 
     def _settings(self) -> dict[str, Any]:
         own = {"voxel_size": self._volume.voxel_size, "step": self.step, "turn": self.turn, "views": self.views}
