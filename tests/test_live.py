@@ -289,6 +289,17 @@ def test_a_wrong_state_is_named(frames, tmp_path):
         tj.LiveSegmenter().restore(tmp_path / "no-such")
 
 
+def test_a_state_for_which_the_disk_is_full_changes_nothing(frames, tmp_path, monkeypatch):
+    segmenter = played(frames[:1], memory=1)
+    expected = segmenter.result(images=False).cloud.points
+    played(frames, memory=1).save(tmp_path / "state")
+    with monkeypatch.context() as full:
+        full.setattr("torchjoint.live.segmenter.OffloadFile.write", lambda *_: (_ for _ in ()).throw(OSError("full")))
+        with pytest.raises(OSError, match="full"):
+            segmenter.restore(tmp_path / "state")
+    assert torch.equal(segmenter.result(images=False).cloud.points, expected)
+
+
 @pytest.mark.slow
 def test_superpoints_live_keep_their_ids_too(frames):
     segmenter = played(frames[:3], granularity=1.0)

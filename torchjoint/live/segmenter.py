@@ -384,7 +384,7 @@ class LiveSegmenter(nn.Module):
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: it cannot be read, is damaged, or of another version, or of a segmenter with other arguments.
-                Then the segmenter stays as it was.
+            OSError: the disk is full. With each error the segmenter stays as it was.
         """
         values = read_values(Path(path))
         with damage_is(f"{path}: not a state of live segmentation"):
@@ -401,10 +401,11 @@ class LiveSegmenter(nn.Module):
             frames = None if compared is None else [Frame(**one) for one in compared]
             ids = LastingIds()
             ids.restore(values["ids"])
+            self._in_memory, self._file = 0, None
+            keyframes = [self._stored(keyframe) for keyframe in keyframes]
             self._volume.restore(values["volume"])
         self._origin, self._pose, self._views, self._to_compare, self._ids = origin, pose, views, frames, ids
-        self._in_memory, self._file = 0, None
-        self._keyframes = [self._stored(keyframe) for keyframe in keyframes]
+        self._keyframes = keyframes
 
     def _stored(self, keyframe: Keyframe) -> Keyframe:
         """The same, in the file if there is no memory left."""
