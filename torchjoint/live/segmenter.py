@@ -81,9 +81,7 @@ class Keyframe(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """A dict of tensors, numbers and strings, for torch.save and loading with ``weights_only=True``."""
-        values = {
-            name: value.to_dict() if isinstance(value, Packed) else value for name, value in self._asdict().items()
-        }
+        values = {name: one.to_dict() if isinstance(one, Packed) else one for name, one in self._asdict().items()}
         return values | {"masks": None if self.masks is None else vars(self.masks)}
 
     @classmethod
@@ -249,7 +247,7 @@ class LiveSegmenter(nn.Module):
     def update(self, frames: Frame | Sequence[Frame]) -> None:
         """Fuses the depth of one or several frames, and finds the segments of those that are keyframes.
 
-        A frame without depth adds only evidence. Of a frame that raises an error, nothing is added.
+        A frame without depth adds only evidence. An error leaves out the whole frame, and those after it.
 
         Raises:
             ValueError: the surface has become too large; a camera is too far from the first one; or, after some
@@ -262,17 +260,18 @@ class LiveSegmenter(nn.Module):
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         for frame in frames:
             origin = volume_origin([frame], self._volume.voxel_size) if self._origin is None else self._origin
-            seen = [] if frame.depth is None else add_frame(self._volume, frame, origin, only_look=True).tolist()
-            if frame.depth is not None and self._views and not seen and float(frame.depth.max()) > UNLIKELY:
-                told = "a frame's depth is beyond reach, and not fused: in millimetres, after others in metres?"
-                warnings.warn(f"LiveSegmenter: {told}", stacklevel=2)
-            if is_keyframe := self._is_keyframe(frame.world_to_camera, seen):
+            looks = frame.depth is not None and self._has_moved(frame.world_to_camera)
+            seen = add_frame(self._volume, frame, origin, only_look=True).tolist() if looks else []
+            if is_keyframe := self._has_moved(frame.world_to_camera) and self._is_new(seen):
                 bright = brightened_frame(frame)
                 (segments,) = self.image_segmenter([bright], self.stopwatch)
                 kept = self._stored(Keyframe.packed(frame, bright, segments, MAX_DEPTH if self.keep_depth else None))
             if frame.depth is not None:
                 with self.stopwatch("fusion"), self._lock:
-                    add_frame(self._volume, frame, origin)
+                    blocks = add_frame(self._volume, frame, origin)
+                if self._views and not len(blocks) and float(frame.depth.max()) > UNLIKELY:
+                    told = "a frame's depth is beyond reach, and not fused: in millimetres, after others in metres?"
+                    warnings.warn(f"LiveSegmenter: {told}", stacklevel=2)
             self._origin = origin
             if is_keyframe:  # here nothing can fail any more
                 self._views.update(seen)
@@ -421,11 +420,12 @@ class LiveSegmenter(nn.Module):
         own = {"voxel_size": self._volume.voxel_size, "step": self.step, "turn": self.turn, "views": self.views}
         return own | {"granularity": self.granularity, "keep_depth": self.keep_depth, "config": self.config.to_dict()}
 
-    def _is_keyframe(self, pose: Tensor, seen: Sequence[int]) -> bool:
+    def _is_new(self, seen: Sequence[int]) -> bool:
+        return not (self.views and seen) or 2 * sum(self._views[block] < self.views for block in seen) > len(seen)
+
+    def _has_moved(self, pose: Tensor) -> bool:
         if self._pose is None:
             return True
-        if self.views and seen and 2 * sum(self._views[block] < self.views for block in seen) <= len(seen):
-            return False
         moved = float((camera_center(pose) - camera_center(self._pose)).norm())
         cosine = (float((pose[:3, :3] * self._pose[:3, :3]).sum()) - 1) / 2
         return moved >= self.step or math.degrees(math.acos(max(-1.0, min(1.0, cosine)))) >= self.turn
