@@ -106,6 +106,18 @@ def test_a_frame_without_depth_adds_only_evidence(frames):
     assert len(with_it.segmentation.points) == len(without.segmentation.points)
 
 
+def test_a_frame_that_fails_is_not_half_added(frames, monkeypatch):
+    segmenter = tj.LiveSegmenter(voxel_size=VOXEL)
+    for frame in frames:
+        with monkeypatch.context() as broken:
+            broken.setattr("torchjoint.live.segmenter.pack", lambda _: 1 / 0)
+            with pytest.raises(ZeroDivisionError):
+                segmenter.update(frame)
+        segmenter.update(frame)
+    assert segmenter.names == (expected := played(frames)).names
+    assert torch.equal(segmenter.result().labels, expected.result().labels)
+
+
 def test_masks_are_taken(frames):
     masks = torch.zeros(1, 48, 64, dtype=torch.bool)
     masks[:, 10:30, 10:30] = True
@@ -275,6 +287,17 @@ def test_a_wrong_state_is_named(frames, tmp_path):
         tj.LiveSegmenter(voxel_size=VOXEL).restore(tmp_path / "state")
     with pytest.raises(OSError, match="no-such"):
         tj.LiveSegmenter().restore(tmp_path / "no-such")
+
+
+def test_a_state_for_which_the_disk_is_full_changes_nothing(frames, tmp_path, monkeypatch):
+    segmenter = played(frames[:1], memory=1)
+    expected = segmenter.result(images=False).cloud.points
+    played(frames, memory=1).save(tmp_path / "state")
+    with monkeypatch.context() as full:
+        full.setattr("torchjoint.live.segmenter.OffloadFile.write", lambda *_: (_ for _ in ()).throw(OSError("full")))
+        with pytest.raises(OSError, match="full"):
+            segmenter.restore(tmp_path / "state")
+    assert torch.equal(segmenter.result(images=False).cloud.points, expected)
 
 
 @pytest.mark.slow

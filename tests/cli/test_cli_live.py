@@ -23,18 +23,7 @@ def recording(tmp_path_factory, scene_of):
 
 
 def test_the_last_result_is_written(recording, tmp_path, run, capsys):
-    run(
-        "live",
-        recording,
-        "-o",
-        tmp_path / "out",
-        "--voxel-size",
-        "0.05",
-        "--step",
-        "0",
-        "--every",
-        "1",
-    )
+    run("live", recording, "-o", tmp_path / "out", "--voxel-size", "0.05", "--step", "0", "--every", "1")
     said = capsys.readouterr().out
     frames = tj.load_scene(recording).frames
     assert f"{len(frames)} frames, the slowest in" in said

@@ -96,12 +96,12 @@ def test_the_texture_of_a_mesh(tmp_path, no_program):
 
 @pytest.mark.parametrize("trap", traps.TRAPS)
 def test_parts_of_a_mesh(trap, tmp_path):
-    (tmp_path / "a.bin").write_bytes(np.eye(3, dtype=np.float32).tobytes())
+    (tmp_path / "a b.bin").write_bytes(np.eye(3, dtype=np.float32).tobytes())
     tree = json.loads(bombs.gltf(3, 1, bytes(36)))
-    tree["buffers"][0]["uri"] = "a.bin"
+    tree["buffers"][0]["uri"] = "a%20b.bin"  # as Blender writes it
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
     assert len(read_cloud_file(tmp_path / "a.gltf").points) == 3
-    with traps.trapped(tmp_path / "a.bin", trap), traps.ends(), pytest.raises(ValueError, match="cannot be read"):
+    with traps.trapped(tmp_path / "a b.bin", trap), traps.ends(), pytest.raises(ValueError, match="cannot be read"):
         read_cloud_file(tmp_path / "a.gltf")
 
 

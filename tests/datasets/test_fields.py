@@ -313,10 +313,10 @@ def test_colours_of_triangles_and_textures_are_told(tmp_path):
         read_cloud_file(tmp_path / "a.stl")
 
 
-@pytest.mark.parametrize(("bad", "share"), [(np.inf, 1), (-np.inf, 1), (1e30, 1), (-9, 1), (-9, 20)])
+@pytest.mark.parametrize(("bad", "share"), [(np.inf, 1), (-np.inf, 1), (1e30, 1), (-9, 1), (-9, 20), (2.5, 1)])
 def test_colours_out_of_range(tmp_path, bad, share):
     """They do not change the scale of the others."""
-    values = RGB.astype("f4")
+    values = RGB / np.float32(255 if bad == 2.5 else 1)
     values[4 : 4 + share] = bad
     fields = dict(zip("xyz", XYZ.T, strict=True)) | dict(zip(("red", "green", "blue"), values.T, strict=True))
     rest = "they are taken from the nearest points" if share == 1 else "the colors are not read"

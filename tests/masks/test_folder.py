@@ -276,9 +276,9 @@ def test_an_image_of_0_and_255_is_told_to_be_one_mask(tmp_path):
 def test_a_list_without_masks_is_of_an_image_of_any_size(tmp_path):
     (tmp_path / "a.json").write_text("[]")
     check_files(tmp_path)
-    frame = tj.masks.read_folder(tmp_path, scene_of("a")).frames[0]
-    assert len(frame.masks) == 0
-    assert frame.masks.size == SIZE
+    masks = tj.masks.read_folder(tmp_path, scene_of("a")).frames[0].masks
+    assert (len(masks), masks.size) == (0, SIZE)
+    assert tj.masks.read_masks(tmp_path / "a.json").resized((3, 9)).size == (3, 9)  # without a warning
 
 
 def test_masks_are_read_with_their_frame(tmp_path):

@@ -29,12 +29,7 @@ ERRORS = [
     ({"num_nodes": True}, TypeError, "num_nodes: expected int, got bool"),
     ({"num_nodes": 2**31}, ValueError, "num_nodes: expected less than 2^31, got 2147483648"),
 ]
-REFUSED = [
-    {"edge_index": EDGES.int()},
-    {"edge_index": EDGES.t()},
-    {"num_nodes": -1},
-    {"num_nodes": 2**31},
-]
+REFUSED = [{"edge_index": EDGES.int()}, {"edge_index": EDGES.t()}, {"num_nodes": -1}, {"num_nodes": 2**31}]
 
 
 def connected_components_reference(edge_index: Tensor, num_nodes: int) -> Tensor:

@@ -20,11 +20,7 @@ ERRORS = [
     ({"neighbors": NEIGHBORS.short()}, TypeError, "expected dtype torch.int32 or torch.int64, got"),
     ({"neighbors": changed(NEIGHBORS, 4, 1, 0)}, ValueError, "numbers in [0, 4), got 4 in row 1"),
 ]
-REFUSED = [
-    {"points": POINTS.half()},
-    {"points": POINTS[:, :2]},
-    {"points": POINTS[:3]},
-]
+REFUSED = [{"points": POINTS.half()}, {"points": POINTS[:, :2]}, {"points": POINTS[:3]}]
 
 
 def fit_normals_reference(points: Tensor, neighbors: Tensor, order: Tensor | None = None) -> Tensor:

@@ -24,11 +24,7 @@ ERRORS = [
     ({"image": LABELS}, ValueError, "image: expected another dtype"),
     ({"image": LABELS[0].byte()}, ValueError, "image: expected 2 dimensions"),
 ]
-REFUSED = [
-    {"start": PIXELS[:0].int()},
-    {"column": PIXELS[:2]},
-    {"image": LABELS},
-]
+REFUSED = [{"start": PIXELS[:0].int()}, {"column": PIXELS[:2]}, {"image": LABELS}]
 
 
 def line_maxima_reference(

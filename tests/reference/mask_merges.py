@@ -47,13 +47,7 @@ ERRORS = [
     ({"stays": PIXELS > 0}, ValueError, "stays: expected length 4 in dimension 0, got 3"),
     ({"min_size": 2.0}, RuntimeError, "Expected a value of type 'int' for argument 'min_size'"),
 ]
-REFUSED = [
-    {"in_mask": EDGES},
-    {"in_frame": EDGES},
-    {"weight": VALUES},
-    {"prior_weight": 0.0},
-    {"stays": PIXELS},
-]
+REFUSED = [{"in_mask": EDGES}, {"in_frame": EDGES}, {"weight": VALUES}, {"prior_weight": 0.0}, {"stays": PIXELS}]
 
 
 def mask_merges_reference(

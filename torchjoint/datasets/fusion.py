@@ -102,8 +102,7 @@ def _fuse(frames: Sequence[Frame], voxel_size: float, progress: bool | None, nam
         fused = 0
         is_hidden = None if progress is None else not progress
         for index in tqdm(range(len(frames)), desc="fuse", unit="frame", disable=is_hidden):
-            frame = frames[index]
-            if frame.depth is not None:
+            if (frame := frames[index]).depth is not None:
                 fused += 1
                 add_frame(volume, frame, origin)
         if fused == 0:
@@ -116,12 +115,17 @@ def _fuse(frames: Sequence[Frame], voxel_size: float, progress: bool | None, nam
         raise KeyboardInterrupt("the cloud was being fused from depth; the next run fuses it from the start") from stop
 
 
-def add_frame(volume: Volume, frame: Frame, origin: Tensor) -> Tensor:
-    """Adds a frame with depth to a volume whose origin is at `origin` [3] float64; returns the keys of its blocks."""
+def add_frame(volume: Volume, frame: Frame, origin: Tensor, *, only_look: bool = False) -> Tensor:
+    """Adds a frame with depth to a volume whose origin is at `origin` [3] float64; returns the keys of its blocks.
+
+    `only_look`: adds nothing.
+    """
     assert frame.depth is not None
-    color = (frame.image * 255).round_().to(torch.uint8).permute(1, 2, 0)
     pose = frame.world_to_camera.double().clone()
     pose[:3, 3] += pose[:3, :3] @ origin
+    if only_look:
+        return volume.blocks_near(frame.depth, frame.intrinsics.double(), pose)
+    color = (frame.image * 255).round_().to(torch.uint8).permute(1, 2, 0)
     return volume.integrate(frame.depth, color, frame.intrinsics.double(), pose)
 
 

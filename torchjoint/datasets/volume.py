@@ -61,7 +61,7 @@ class Volume:
         Returns:
             the keys of the blocks that it sees, int64, ascending.
         """
-        key = self._blocks_near(depth, intrinsics, world_to_camera)
+        key = self.blocks_near(depth, intrinsics, world_to_camera)
         self._add(key)
         row, order = self._row[torch.searchsorted(self._key, key)].sort()
         image, lengths = (depth, color, intrinsics, world_to_camera), (self.voxel_size, self.truncation, self.far)
@@ -93,7 +93,7 @@ class Volume:
         points, colors = torch.cat(parallel_map(self._crossings, self._key.split(AT_ONCE))).split(3, 1)
         return points, colors
 
-    def _blocks_near(self, depth: Tensor, intrinsics: Tensor, world_to_camera: Tensor) -> Tensor:
+    def blocks_near(self, depth: Tensor, intrinsics: Tensor, world_to_camera: Tensor) -> Tensor:
         """The keys, ascending, of all blocks that are not farther than the truncation from a measured point."""
         # So many pixels apart, neighbouring rays are at most half a block apart where depth is used.
         fx, fy, cx, cy = (float(intrinsics[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
@@ -115,8 +115,7 @@ class Volume:
                 )
             first += (low.long() + half) * factor
         first = first.unique_consecutive().unique()
-        corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
-        return (first[:, None] + (corners * _STEPS).sum(1)).flatten().unique()
+        return (first[:, None] + (torch.cartesian_prod(*[torch.arange(2)] * 3) * _STEPS).sum(1)).flatten().unique()
 
     def _add(self, key: Tensor) -> None:
         """Adds those of these blocks that are not there yet."""

@@ -81,9 +81,7 @@ class Keyframe(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """A dict of tensors, numbers and strings, for torch.save and loading with ``weights_only=True``."""
-        values = {
-            name: value.to_dict() if isinstance(value, Packed) else value for name, value in self._asdict().items()
-        }
+        values = {name: one.to_dict() if isinstance(one, Packed) else one for name, one in self._asdict().items()}
         return values | {"masks": None if self.masks is None else vars(self.masks)}
 
     @classmethod
@@ -249,7 +247,7 @@ class LiveSegmenter(nn.Module):
     def update(self, frames: Frame | Sequence[Frame]) -> None:
         """Fuses the depth of one or several frames, and finds the segments of those that are keyframes.
 
-        A frame without depth adds only evidence.
+        A frame without depth adds only evidence. An error leaves out the whole frame, and those after it.
 
         Raises:
             ValueError: the surface has become too large; a camera is too far from the first one; or, after some
@@ -261,24 +259,25 @@ class LiveSegmenter(nn.Module):
         """
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         for frame in frames:
-            if self._origin is None:
-                self._origin = volume_origin([frame], self._volume.voxel_size)
-            seen: list[int] = []
-            if frame.depth is not None:
-                with self.stopwatch("fusion"), self._lock:
-                    seen = add_frame(self._volume, frame, self._origin).tolist()
-                if self._views and not seen and float(frame.depth.max()) > UNLIKELY:
-                    told = "a frame's depth is beyond reach, and not fused: in millimetres, after others in metres?"
-                    warnings.warn(f"LiveSegmenter: {told}", stacklevel=2)
-            if self._is_keyframe(frame.world_to_camera, seen):
-                self._views.update(seen)
-                self._pose = frame.world_to_camera
-                self._compare(frame)
+            origin = volume_origin([frame], self._volume.voxel_size) if self._origin is None else self._origin
+            looks = frame.depth is not None and self._has_moved(frame.world_to_camera)
+            seen = add_frame(self._volume, frame, origin, only_look=True).tolist() if looks else []
+            if is_keyframe := self._has_moved(frame.world_to_camera) and self._is_new(seen):
                 bright = brightened_frame(frame)
                 (segments,) = self.image_segmenter([bright], self.stopwatch)
-                self._keep(Keyframe.packed(frame, bright, segments, MAX_DEPTH if self.keep_depth else None))
-            else:
-                self._compare_at_rest(frame)
+                kept = self._stored(Keyframe.packed(frame, bright, segments, MAX_DEPTH if self.keep_depth else None))
+            if frame.depth is not None:
+                with self.stopwatch("fusion"), self._lock:
+                    blocks = add_frame(self._volume, frame, origin)
+                if self._views and not len(blocks) and float(frame.depth.max()) > UNLIKELY:
+                    told = "a frame's depth is beyond reach, and not fused: in millimetres, after others in metres?"
+                    warnings.warn(f"LiveSegmenter: {told}", stacklevel=2)
+            self._origin = origin
+            if is_keyframe:  # here nothing can fail any more
+                self._views.update(seen)
+                self._pose = frame.world_to_camera
+                self._keyframes.append(kept)
+            (self._compare if is_keyframe else self._compare_at_rest)(frame)
 
     @torch.no_grad()
     @one_thread_per_operation()
@@ -384,7 +383,7 @@ class LiveSegmenter(nn.Module):
         Raises:
             FileNotFoundError: there is no such file.
             ValueError: it cannot be read, is damaged, or of another version, or of a segmenter with other arguments.
-                Then the segmenter stays as it was.
+            OSError: the disk is full. With each error the segmenter stays as it was.
         """
         values = read_values(Path(path))
         with damage_is(f"{path}: not a state of live segmentation"):
@@ -401,30 +400,32 @@ class LiveSegmenter(nn.Module):
             frames = None if compared is None else [Frame(**one) for one in compared]
             ids = LastingIds()
             ids.restore(values["ids"])
+            self._in_memory, self._file = 0, None
+            keyframes = [self._stored(keyframe) for keyframe in keyframes]
             self._volume.restore(values["volume"])
         self._origin, self._pose, self._views, self._to_compare, self._ids = origin, pose, views, frames, ids
-        self._keyframes, self._in_memory, self._file = [], 0, None
-        for keyframe in keyframes:
-            self._keep(keyframe)
+        self._keyframes = keyframes
 
-    def _keep(self, keyframe: Keyframe) -> None:
+    def _stored(self, keyframe: Keyframe) -> Keyframe:
+        """The same, in the file if there is no memory left."""
         size = keyframe.num_bytes
         if self._in_memory + size > self.memory:
             self._file = self._file or OffloadFile()
             keyframe, size = keyframe.offloaded(self._file), 0
             give_back()  # a tenth of a gigabyte that lies between the keyframes in memory
-        self._keyframes.append(keyframe)
         self._in_memory += size
+        return keyframe
 
     def _settings(self) -> dict[str, Any]:
         own = {"voxel_size": self._volume.voxel_size, "step": self.step, "turn": self.turn, "views": self.views}
         return own | {"granularity": self.granularity, "keep_depth": self.keep_depth, "config": self.config.to_dict()}
 
-    def _is_keyframe(self, pose: Tensor, seen: Sequence[int]) -> bool:
+    def _is_new(self, seen: Sequence[int]) -> bool:
+        return not (self.views and seen) or 2 * sum(self._views[block] < self.views for block in seen) > len(seen)
+
+    def _has_moved(self, pose: Tensor) -> bool:
         if self._pose is None:
             return True
-        if self.views and seen and 2 * sum(self._views[block] < self.views for block in seen) <= len(seen):
-            return False
         moved = float((camera_center(pose) - camera_center(self._pose)).norm())
         cosine = (float((pose[:3, :3] * self._pose[:3, :3]).sum()) - 1) / 2
         return moved >= self.step or math.degrees(math.acos(max(-1.0, min(1.0, cosine)))) >= self.turn

@@ -221,7 +221,7 @@ class Masks:
         (height, width), (own_height, own_width) = size, self.size
         if not self.atom.numel():
             raise ValueError(f"masks: expected at least one pixel, got {own_height} x {own_width}")
-        if abs(own_height * width / height - own_width) > max(1, 0.02 * own_width):  # half of 15 pixels may be 7
+        if len(self) and abs(own_height * width / height - own_width) > max(1, 0.02 * own_width):  # half of 15 may be 7
             told = f"masks: {own_height} x {own_width} pixels for an image of {height} x {width}: other aspect ratio"
             warnings.warn(f"{told}; do they show the same view?", stacklevel=2)
         row = ((torch.arange(height, dtype=torch.float32, device="cpu") + 0.5) * own_height / height).long()

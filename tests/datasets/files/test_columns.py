@@ -126,9 +126,10 @@ def test_each_file_of_a_folder_has_its_own_scale(tmp_path):
         assert survey(files).whites is None
 
 
+@pytest.mark.parametrize("alpha", [0, 100])
 @pytest.mark.parametrize("kind", ["f4", "u4", "f8", "i4"])
-def test_packed_colours_of_any_type(kind):
-    packed = (BYTES.astype(np.uint32) << [16, 8, 0]).sum(1, dtype=np.uint32)
+def test_packed_colours_of_any_type(kind, alpha):
+    packed = (BYTES.astype(np.uint32) << [16, 8, 0]).sum(1, dtype=np.uint32) + np.uint32(alpha << 24)
     column = packed.view("f4").astype("f8") if kind == "f8" else packed.view(kind)
     np.testing.assert_allclose(cloud_of(PLACES | {"rgb": column}, "a").colors, UNIT, atol=1e-7)
     np.testing.assert_allclose(cloud_of(PLACES | {"rgb": BYTES}, "a").colors, UNIT, atol=1e-7)

@@ -173,6 +173,9 @@ def test_single_unknown_values(tmp_path, by):
     (tmp_path / "a.xyz").write_text(text(XYZ, np.where(np.arange(30)[:, None] == 3, np.nan, UP)))
     with pytest.warns(UserWarning, match="1 of 30 normals are NaN"):
         np.testing.assert_allclose(read_cloud_file(tmp_path / "a.xyz").normals, UP, atol=1e-6)
+    (tmp_path / "a.csv").write_text("x,y,z\n0,1,2\n,,\n,1,2\n")
+    with pytest.raises(ValueError, match="2 of 3 points are NaN"):
+        read_cloud_file(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize("values", [[1], [1, 2, 3]])

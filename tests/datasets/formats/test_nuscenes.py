@@ -99,10 +99,7 @@ def test_paths_stay_in_the_folder(folder, name, of):
         (lambda s: s["cameras"]["CAM_BACK"].update(cam2img=[[1, 0, 0]]), "CAM_BACK: cam2img: expected shape"),
         (lambda s: s["cameras"]["CAM_BACK"].update(lidar2cam=[[1, 0, 0, 0]] * 4), "lidar2cam: expected a rigid"),
         (lambda s: s["instances"][1].update(bbox_3d=[1, 2]), r"instances\[1\]: bbox_3d: expected 7 numbers"),
-        (
-            lambda s: s["instances"][1]["bbox_3d"].__setitem__(3, 0),
-            r"instances\[1\]: bbox_3d: expected lengths > 0",
-        ),
+        (lambda s: s["instances"][1]["bbox_3d"].__setitem__(3, 0), r"instances\[1\]: bbox_3d: expected lengths > 0"),
     ],
 )
 def test_bad_samples(folder, edit, message):

@@ -165,8 +165,7 @@ def test_instances_of_pixels_zipped_and_of_another_size(folder, synthetic):
     with zipfile.ZipFile(folder / f"{SCAN}_2d-instance-filt.zip", "w") as archive:
         archive.writestr("instance-filt/0.png", b"no image")
     with pytest.raises(
-        FileNotFoundError,
-        match=r"2d-instance-filt\.zip/instance-filt/1\.png: missing; expected the instances of every",
+        FileNotFoundError, match=r"2d-instance-filt\.zip/instance-filt/1\.png: missing; expected the instances of every"
     ):
         tj.load_scene(folder)
 

@@ -104,8 +104,7 @@ def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
         if colors is None and whole is not None and (read := _unpacked(columns[whole])) is not None:
             colors = unit_colors(read)
             used.add(whole)
-    harmonics = group(HARMONICS)
-    if harmonics is not None:
+    if (harmonics := group(HARMONICS)) is not None:
         faint = group(OPACITY)
         opacities = None if faint is None else _stacked(faint, np.float32)[:, 0].sigmoid()
         colors = (0.5 + CONSTANT * _stacked(harmonics, np.float32)).clamp(0, 1) if colors is None else colors
@@ -142,11 +141,13 @@ def unit_colors(colors: Array) -> Tensor:
     """Colours [N, 3] of one file, of any type and scale, as [N, 3] float32; NaN and what is no colour stay outside."""
     if colors.dtype.kind not in "iuf":
         raise ValueError(f"colors: expected numbers, got {colors.dtype}")
-    colors = colors.view(np.uint8) if colors.dtype == np.int8 else colors
-    colors = colors.astype(np.float32) if colors.dtype == np.float16 else colors  # 65535 is beyond it
+    # Signed bytes are bytes; 65535 is beyond float16.
+    colors = colors.astype({"b": "u1", "e": "f4"}.get(colors.dtype.char, colors.dtype), copy=False)
     is_float = colors.dtype.kind == "f"
     largest = float(np.max(colors, initial=0, where=np.abs(colors) <= 65535 if is_float else True))
-    if is_float and largest == 256:
+    if is_float and np.sum((colors > 0) & (colors < 1)) > np.sum(colors > 1):
+        largest = 1.0  # what is brighter is out of range, and must not darken the others
+    elif is_float and largest == 256:
         warnings.warn("colours of 0 to 256: 256 is taken as 255, full brightness", stacklevel=4)
         colors, largest = np.where(colors == 256, 255, colors), 255.0
     most = None if is_float else int(np.iinfo(colors.dtype).max)
@@ -209,8 +210,8 @@ def _unpacked(packed: Array) -> Array | None:
     if packed.ndim == 2:
         return packed[:, :3] if packed.shape[1] in (3, 4) else None
     if packed.dtype.itemsize == 8 or packed.dtype.kind == "f":  # their bits, or their value
-        known = packed[~np.isnan(packed)]
-        whole = packed.dtype.kind != "f" or (known.max(initial=0) >= 1 and bool((known == np.floor(known)).all()))
+        known, most = packed[~np.isnan(packed)], 1 << (24 if packed.dtype.itemsize == 4 else 32)
+        whole = packed.dtype.kind != "f" or (1 <= np.abs(known).max(initial=0) < most and not (known % 1).any())
         packed = np.where(np.isnan(packed), UNKNOWN, packed) if whole else packed.astype(np.float32)
         packed = packed.astype(np.int64).astype(np.uint32) if whole else packed
     if packed.dtype.itemsize != 4:

@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
@@ -131,8 +132,7 @@ def _color_twice(part: Any) -> None:
     if own is not None:
         of_material = _of_material(part.visual, len(part.vertices))[:, :3]
         part.visual = type(part)(part.vertices, part.faces, vertex_colors=own).visual
-        product = of_material * (part.visual.vertex_colors[:, :3] / 255)
-        part.visual.vertex_colors = product.round().astype(np.uint8)
+        part.visual.vertex_colors = (of_material * (part.visual.vertex_colors[:, :3] / 255)).round().astype(np.uint8)
 
 
 def _of_material(visual: Any, count: int) -> Array:
@@ -238,7 +238,7 @@ class MeshParts:
         bounds.check(self._pixels, bounds.TEXTURES, "pixels in all textures", name)
 
     def _read(self, name: str) -> bytes:
-        for candidate in (name.strip(), name.strip().lstrip("/"), os.path.split(name)[-1]):
+        for candidate in (name.strip(), unquote(name.strip()), name.strip().lstrip("/"), os.path.split(name)[-1]):
             try:
                 path = path_inside(self._path.parent, candidate, str(self._path))
             except ValueError:  # it leads out of the folder

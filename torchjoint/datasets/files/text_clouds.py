@@ -127,7 +127,7 @@ def _numbers(text: bytes, first: int, path: Path) -> Array:
     if delimiter and line.rstrip().endswith(delimiter.encode()):
         text = re.sub(rb"[;,][ \t]*(?=\n|$)", b"", text)
     if delimiter:  # an empty field is no number
-        text = re.sub(rb"([;,])[ \t]*(?=[;,\n]|$)", rb"\1nan", text)
+        text = re.sub(rb"(?m)(^(?=[ \t]*[;,])|[;,])[ \t]*(?=[;,]|$)", rb"\1nan", text)
     if not text.strip():
         raise ValueError(f"{path}: expected a row of x y z for each point, got no rows")
     try:
