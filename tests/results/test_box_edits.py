@@ -60,8 +60,8 @@ def result_of(*blocks, names=None):
     return replace(result, segment_names=names or {})
 
 
-def edits_of_boxes(result, boxes):
-    return box_edits.edits_of_boxes(result, boxes, result.points.numpy())
+def edits_of_boxes(result, boxes, is_text=False):
+    return box_edits.edits_of_boxes(result, boxes, result.points.numpy(), is_text)
 
 
 def three():
@@ -250,15 +250,15 @@ def test_what_nobody_edited_changes_nothing(tmp_path, export):
     result = replace(three(), segment_names={1: "a red block"})
     file = tmp_path / ("boxes.txt" if export is export_openpcdet else "boxes.json")
     export(file, result)
-    assert edits_of_boxes(result, read_boxes(file)[::-1]) == ((), 0, 0, (), 0)
+    assert edits_of_boxes(result, read_boxes(file)[::-1], export is export_openpcdet) == ((), 0, 0, (), 0)
 
 
 @pytest.mark.parametrize("name", ["thing", " thing ", "  a chair ", "\u2028a", "\r", "x\ny"])
 def test_a_name_that_files_hold_in_another_way_is_not_edited(name):
     result = replace(three(), segment_names={0: name})
-    for read in (lambda one: one.strip(), lambda one: "_".join(one.split()) or "thing"):
+    for is_text, read in enumerate((lambda one: one.strip(), lambda one: "_".join(one.split()) or "thing")):
         boxes = [box._replace(name=read(box.name)) for box in boxes_of(result).values()]
-        assert edits_of_boxes(result, boxes).steps == ()
+        assert edits_of_boxes(result, boxes, bool(is_text)).steps == ()
 
 
 @pytest.mark.slow
@@ -301,13 +301,14 @@ def test_a_deleted_box_joins_and_a_name_is_taken():
     assert edits_of_boxes(result, []) == ((), 0, 0, (), 3)
 
 
-def test_a_file_without_names_takes_none_away():
-    """It may have been exported before the things were named."""
-    result = result_of(block((3, 1, 0.2), (1, 0.5, 0.4), 0), names={0: "chair"})
+@pytest.mark.parametrize(("name", "other"), [("a red chair", "a_red_chair"), ("a_red_chair", "a red chair")])
+def test_a_file_without_names_takes_none_away(name, other):
+    """It may have been exported before the things were named. But other spaces are another name: it was lost."""
+    result = result_of(block((3, 1, 0.2), (1, 0.5, 0.4), 0), names={0: name})
     (box,) = boxes_of(result).values()
-    assert box.name == "chair"
-    for name in ("thing", "", "chair"):
-        assert edits_of_boxes(result, [box._replace(name=name)]).steps == ()
+    for same in ("thing", "", name):
+        assert edits_of_boxes(result, [box._replace(name=same)]).steps == ()
+    assert [step.name for step in edits_of_boxes(result, [box._replace(name=other)]).steps] == [other]
 
 
 @given(
@@ -501,10 +502,8 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up)
     after = tj.load_result(out)
     assert len(after.points.unique()) == before.num_point_segments - 1
     assert "floor" in after.segment_names.values()
-    one, other = (
-        record["objects"][largest],
-        min(record["objects"], key=lambda box: np.prod([*box["dimensions"].values()])),
-    )
+    one = record["objects"][largest]
+    other = min(record["objects"], key=lambda box: np.prod([*box["dimensions"].values()]))
     record["objects"] = [one, one | {"name": "none"}]
     one["dimensions"] = dict.fromkeys(one["dimensions"], 1e-3)
     record["objects"][1]["dimensions"] = one["dimensions"]
@@ -529,12 +528,8 @@ def test_segments_without_points_have_no_box(tmp_path):
 
 def test_a_second_import_goes_on_from_the_first(run, tmp_path):
     """Without a hierarchy, superpoints are the segments on disk, and not those after corrections."""
-    table, on_it, far = (
-        block((0, 0, 0.5), (2, 1, 1), 0.3),
-        block((0.1, 0, 1.1), (0.2, 0.3, 0.2), 1.0),
-        block((5, 5, 1), (1, 1, 1), 0),
-    )
-    result = result_of(table, on_it, block((3, 1, 0.2), (1, 0.5, 0.4), 0), far)
+    table, on_it = block((0, 0, 0.5), (2, 1, 1), 0.3), block((0.1, 0, 1.1), (0.2, 0.3, 0.2), 1.0)
+    result = result_of(table, on_it, block((3, 1, 0.2), (1, 0.5, 0.4), 0), block((5, 5, 1), (1, 1, 1), 0))
     out = tmp_path / "out"
     out.mkdir()
     write_result(out, result.scene, result, tj.Config(), "test")
@@ -578,14 +573,14 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     edits = (out / "edits.json").read_bytes()
     run("edits", "import", out, table)
     assert (out / "edits.json").read_bytes() == edits
-    write([rows[0] | {"name": "", "points": "3"}, rows[2] | {"name": "garage"}])  # an old table of one more name
+    write([rows[0] | {"name": "", "points": "3"}, rows[2] | {"name": "-5_garage"}])  # an old table of one more name
     with pytest.warns(UserWarning, match="1 empty names change nothing"):
         run("edits", "import", out, table)
-    assert tj.load_result(out).segment_names == {0: "house, old", 2: "garage"}
+    assert tj.load_result(out).segment_names == {0: "house, old", 2: "-5_garage"}
     write([rows[0], rows[2] | {"name": ""}])  # a table from before that name
     with pytest.warns(UserWarning, match=r"names\.csv: 1 empty names change nothing; the viewer removes names"):
         run("edits", "import", out, table)
-    assert tj.load_result(out).segment_names == {0: "house, old", 2: "garage"}
+    assert tj.load_result(out).segment_names == {0: "house, old", 2: "-5_garage"}
     write([rows[2] | {"name": "shed", "id": "2.0", "points": rows[2]["points"] + ".0"}])  # of pandas
     run("edits", "import", out, table)
     assert tj.load_result(out).segment_names[2] == "shed"

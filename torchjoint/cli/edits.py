@@ -55,8 +55,8 @@ def edits(
         if others:
             say(f"{others} points stay with their superpoint, of which most points have another label")
     else:
-        boxes = read_boxes(file)
-        steps, joined, named, empty, stayed = shared_edits.edits_of_boxes(corrected, boxes, parts.of_point)
+        boxes, is_text = read_boxes(file), file.suffix.lower() == ".txt"
+        steps, joined, named, empty, stayed = shared_edits.edits_of_boxes(corrected, boxes, parts.of_point, is_text)
         if len(empty) > max(1, len(boxes) / 2):
             raise ValueError(f"{told} {len(empty)} of {len(boxes)} boxes are those of no thing")
         say(f"{len(boxes)} boxes: {joined} things joined others, {named} names changed")

@@ -26,6 +26,8 @@ from torchjoint.runtime.groups import best_of_groups, each_once
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.outputs import lock
 
+Steps = tuple[Edit, ...]
+
 
 class ForeignLabels(NamedTuple):
     """Objects of Segments.ai, by their ids."""
@@ -120,7 +122,7 @@ class BoxEdits(NamedTuple):
     stayed: int = 0  #: segments whose box was deleted, and which lie in no other
 
 
-def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray[np.int64]) -> BoxEdits:
+def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: Table, is_text: bool = False) -> BoxEdits:
     """The corrections that edited boxes mean.
 
     Each box belongs to one segment: the pairs are taken by the IoU of the points in the box with those in the segment's
@@ -133,6 +135,7 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray
         result: its labels are those from which the boxes were exported, with all corrections before.
         boxes: after the edits, in any order.
         superpoint: [N] the superpoint of each point, which does not change with corrections.
+        is_text: they are OpenPCDet's, whose names have `_` for spaces.
     """
     points, labels = upright_points(result.scene), result.points.numpy()
     own = boxes_of(result)
@@ -150,7 +153,7 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: npt.NDArray
         if holder is not None:
             steps.append(Edit("join", (int(place[segment_of[holder]]), int(place[segment]))))
     empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
-    names = edits_of_names(result, {one: boxes[number].name for number, one in segment_of.items()}, superpoint)
+    names = edits_of_names(result, {one: boxes[number].name for number, one in segment_of.items()}, superpoint, is_text)
     return BoxEdits((*steps, *names), len(steps), len(names), empty, len(own) - len(segment_of) - len(steps))
 
 
@@ -177,7 +180,7 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
         for row in table:
             segment, points = (_count(row[column] or "") for column in ("id", "points"))
             name = printable((row["name"] or "").strip()).removeprefix("'")  # csv_text's, before what would be computed
-            if name in ("", result.segment_names.get(segment, "")):
+            if name in ("", result.segment_names.get(segment, "").removeprefix("'")):
                 emptied += not name and segment in result.segment_names
                 continue
             told = f"line {table.line_num}: {name!r}: segment {(row['id'] or '')[:20]}"
@@ -197,13 +200,13 @@ def _count(text: str) -> int:
     return int(match[1]) if match else -1
 
 
-def edits_of_names(result: Result, names: Mapping[int, str], superpoint: npt.NDArray[np.int64]) -> tuple[Edit, ...]:
+def edits_of_names(result: Result, names: Mapping[int, str], superpoint: Table, is_text: bool = False) -> Steps:
     """The corrections that give segments their names; arguments as of :func:`edits_of_boxes`."""
     place, before = _places(result, superpoint), result.segment_names
     return tuple(
         Edit("name", (int(place[segment]),), _told(name))
         for segment, name in sorted(names.items())
-        if _told(name) and _words(_told(name)) != _words(before.get(segment, ""))
+        if _told(name) not in ("", (_words if is_text else str.strip)(before.get(segment, "")))
     )
 
 
@@ -226,8 +229,8 @@ def _told(name: str) -> str:
 
 
 def _words(name: str) -> str:
-    """A name as OpenPCDet's files have it, without spaces, and without an apostrophe of `csv_text`."""
-    return "_".join(name.split()).removeprefix("'")
+    """A name as OpenPCDet's files have it, without spaces."""
+    return "_".join(name.split())
 
 
 def _matches(inside: csr_array, own: csr_array, segments: Sequence[int]) -> dict[int, int]:
@@ -239,7 +242,6 @@ def _matches(inside: csr_array, own: csr_array, segments: Sequence[int]) -> dict
     return {number: segments[place] for number, place in found.items()}
 
 
-Steps = tuple[Edit, ...]
 #: Longest time to wait until another program has saved, seconds: a viewer saves each correction once.
 PATIENCE = 5.0
 

@@ -449,8 +449,8 @@ class PlyRecords(NamedTuple):
                 raise ValueError("expected a binary file, for parts of a mesh, got an ascii one")
             more, body = _triangles(triangles, self.header.byte_order)
             lines, bodies = lines + more, [*bodies, body]
-        head = b"".join(self.head[:first]) + "".join(f"{line}\n" for line in [*lines, "end_header"]).encode()
-        return head + b"".join(bodies)
+        added = [line.encode() + _end(self.head[0]) for line in [*lines, "end_header"]]  # of one kind
+        return b"".join([*self.head[:first], *added, *bodies])
 
 
 def read_records(path: Path) -> PlyRecords:

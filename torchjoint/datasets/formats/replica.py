@@ -7,7 +7,6 @@ traj.txt                     a line for each frame (or the first ones): 16 numbe
 ../ROOM_mesh.ply             the cloud: its vertices (optional: fused from depth if absent)
 """
 
-import re
 from pathlib import Path
 
 import torch
@@ -35,11 +34,12 @@ def load(path: Path, options: Options) -> Scene:
     camera = pinhole((values.number(key) for key in ("fx", "fy", "cx", "cy", "w", "h")), values.name)
     rows = read_rows(path / "traj.txt", "16 numbers, a pose", 16)
     poses = [world_to_camera(torch.tensor(numbers, dtype=torch.float64).view(4, 4), name) for name, numbers in rows]
-    images = sorted_images(path / "results", (path / "results").glob("frame*.jpg"))
+    folder = path / "results"
+    images = sorted_images(folder, (one for one in folder.glob("frame*.jpg") if one.stem[5:].isdecimal()))
     if not 0 < len(poses) <= len(images):
         raise ValueError(f"{path / 'traj.txt'}: expected {len(images)} poses, one for each image, got {len(poses)}")
     if len(poses) < len(images):  # the first ones: those of the first numbers
-        numbers = [int(re.sub(r"\D", "", image.stem) or 0) for image in images]
+        numbers = [int(image.stem[5:]) for image in images]
         if lost := {*range(numbers[0], numbers[0] + len(poses))}.difference(numbers):
             told = f"frame {min(lost)} has no image, and {len(images) - len(poses)} images have no pose"
             raise ValueError(f"{path / 'traj.txt'}: {told}: expected a pose for each image")
