@@ -65,10 +65,7 @@ class TestLabelsAndStacks:
     @pytest.mark.parametrize(
         ("stack", "message"),
         [
-            (
-                STACK * 4.0 - 2,
-                r"stack: expected booleans, or numbers 0 and 1, got torch.float32 from -2 to 2; use `> 0`",
-            ),
+            (STACK * 4.0 - 2, "expected booleans, or numbers 0 and 1, got torch.float32 from -2 to 2; use `> 0`"),
             (STACK * torch.nan, "stack: expected booleans"),
             (STACK[0], r"stack: expected shape \[M, H, W\], got \[3, 4\]"),
             (STACK.tolist(), "stack: expected a torch.Tensor or a NumPy array, got list"),
@@ -92,8 +89,9 @@ class TestLabelsAndStacks:
             tj.masks.from_stack(STACK, scores)
 
     def test_a_name_for_each_mask(self):
-        with pytest.raises(ValueError, match="names: expected one for each of 2 masks, got 1"):
-            tj.masks.from_stack(STACK, None, ["cup"])
+        for names, told in ((["cup"], "one for each of 2 masks, got 1"), ({0: "cup", 1: "pan"}, "a string for each")):
+            with pytest.raises((TypeError, ValueError), match=f"names: expected {told}"):
+                tj.masks.from_stack(STACK, None, names)
 
 
 class TestSam:

@@ -244,7 +244,7 @@ def test_masks_of_nearly_the_whole_image_are_told(tmp_path):
     for name in "ab":
         tj.masks.save_masks(tmp_path / f"{name}.npz", tj.masks.from_stack(stack))
     write_labels(tmp_path / "c.png")
-    with pytest.warns(UserWarning, match="2 masks, in 2 of 3 images, cover more than 90% of them; they join what they"):
+    with pytest.warns(UserWarning, match="2 masks, in 2 of 3 images, cover over 90% of them; they join what they"):
         tj.masks.folder.check_files(tmp_path)
 
 

@@ -52,9 +52,9 @@ def superpoints(
             .glb, .gltf, .off or .stl.
         out: file for the result; default: CLOUD-superpoints.ply in the current folder. A .ply, .las or .laz has
             all data of a cloud's file of its kind, and a property or dimension `superpoint`; of other clouds a .ply has
-            points, a colour for each superpoint, the triangles of a mesh. A .npy has the labels, int64. A .npz has the
-            arrays points, labels, and, if there are any, colors and faces. .laz is the default for .las and .laz
-            clouds, which are needed for it. For a folder of clouds, OUT is a folder.
+            points, a colour for each superpoint, the triangles of a mesh. A .npy has the labels, int64, in the order
+            of `tj.datasets.load_cloud`. A .npz has the arrays points, labels, and, if there are any, colors and faces.
+            .laz is the default for .las and .laz clouds, which are needed for it. For a folder, OUT is a folder.
         preset: default, scan or segmentator, or a YAML file of your own.
         set: single parameters: --set scale=2 color_weight=0.5; `torchjoint parameters --superpoints` lists them.
         viewpoint: x y z of the sensor, metres; normals then point outward, so that convex and concave edges differ.
@@ -122,7 +122,7 @@ def _segmented(
     """The superpoint of each row of a file, -1 of those that were dropped; from a mesh, if its triangles are used."""
     mesh = read.faces if config.weight == "segmentator" else None
     if mesh is None and read.faces is not None:
-        say("neighbours of vertices are the nearest ones; with --preset segmentator those of the triangles")
+        say("the nearest vertices are neighbours (--preset segmentator: of triangles); put points on large ones first")
     sensor = None if viewpoint is None else torch.tensor(viewpoint, dtype=torch.float64)
     normals = read.normals if mesh is None else None
     of = partial(segment, faces=mesh, viewpoint=sensor, drop_invalid=drop_invalid, preset=config)

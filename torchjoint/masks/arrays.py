@@ -68,6 +68,8 @@ def from_stack(stack: Any, scores: Any = None, names: Sequence[str] = ()) -> Mas
     Masks(2 masks, 1 x 3 pixels, 67% covered)
     """
     found = Masks.from_stack(as_binary(stack, "stack"), as_scores(scores, "scores"), "stack")
+    if not all(isinstance(one, str) for one in names):  # a network's dict of all its classes
+        raise TypeError(f"names: expected a string for each mask, got {str(names)[:60]}")
     return replace(found, names=tuple(names))
 
 

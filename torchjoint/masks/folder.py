@@ -238,9 +238,7 @@ def check_files(folder: Path | str) -> None:
         return int((masks.areas() > WHOLE * masks.atom.numel()).sum())
 
     if whole := sum(counts := parallel_map(count, _readers(Path(folder)).values())):
-        told = (
-            f"{whole} masks, in {sum(map(bool, counts))} of {len(counts)} images, cover more than {WHOLE:.0%} of them"
-        )
+        told = f"{whole} masks, in {sum(map(bool, counts))} of {len(counts)} images, cover over {WHOLE:.0%} of them"
         warnings.warn(f"{folder}: {told}; they join what they cover: leave them out", stacklevel=2)
 
 

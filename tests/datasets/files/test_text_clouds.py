@@ -57,14 +57,14 @@ def test_what_programs_write(tmp_path, name, data):
     np.testing.assert_allclose(read.colors, RGB / 255, atol=1e-6)
 
 
-@pytest.mark.parametrize("first", [0, 1])
-def test_a_column_that_counts_the_rows_is_no_coordinate(tmp_path, first):
+@pytest.mark.parametrize(("first", "more"), [(0, RGB), (1, RGB), (1, RGB[:, :1]), (1, RGB[:, :2])])
+def test_a_column_that_counts_the_rows_is_no_coordinate(tmp_path, first, more):
     count = np.arange(first, first + 30.0)[:, None]
-    (tmp_path / "a.txt").write_text(text(count, XYZ, RGB))
-    with pytest.warns(UserWarning, match=r"a\.txt: the first column counts the rows, and is not read; a first line of"):
+    (tmp_path / "a.txt").write_text(text(count, XYZ, more))
+    with pytest.warns(UserWarning, match=r"a\.txt: (of|the first column counts the rows, and is not read; a first)"):
         read = read_cloud_file(tmp_path / "a.txt")
     np.testing.assert_array_equal(read.points, XYZ)
-    np.testing.assert_allclose(read.colors, RGB / 255, atol=1e-6)
+    assert read.colors is None if more is not RGB else np.allclose(read.colors, RGB / 255, atol=1e-6)
     (tmp_path / "a.txt").write_text(text(count, XYZ[:, :2]))
     np.testing.assert_array_equal(read_cloud_file(tmp_path / "a.txt").points[:, :1], count)
 

@@ -197,8 +197,8 @@ def cloud_of_rows(rows: Array, name: str, is_pts: bool = False) -> CloudFile:
 
 
 def _is_count(rows: Array) -> bool:
-    """Whether the first column is 0, 1, 2, ... or 1, 2, 3, ...: no coordinate, but for five or six columns."""
-    if rows.shape[1] in (1, 2, 3, 5, 6) or len(rows) < FEWEST_COUNTED or rows[0, 0] not in (0, 1):
+    """Whether the first of four or more columns is 0, 1, 2, ... or 1, 2, 3, ...: no coordinate."""
+    if rows.shape[1] < 4 or len(rows) < FEWEST_COUNTED or rows[0, 0] not in (0, 1):
         return False
     return bool((rows[:, 0] - rows[0, 0] == np.arange(len(rows))).all())
 
