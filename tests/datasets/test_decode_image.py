@@ -5,6 +5,7 @@ from contextlib import nullcontext
 import cv2
 import numpy as np
 import pytest
+from bombs import png
 from PIL import Image
 
 from torchjoint.datasets.files.readers import decode_image, read_depth, read_label_image
@@ -23,21 +24,20 @@ def test_a_flipped_bit_in_a_png_is_an_error(tmp_path):
 
 
 def test_numbers_that_the_decoder_would_change(tmp_path):
-    """Pillow stretches the numbers of a PGM to its own range: 1 m became 6.5 m; JPEG makes labels of its own."""
-    path, depth, labels = tmp_path / "it.png", np.array([[1000, 2000]], ">u2"), np.array([[1, 20]], "u1")
+    """Pillow stretches the numbers of a PGM, or of a PNG of 4 bits: 1 m became 6.5 m; JPEG makes labels of its own."""
+    path, depth, labels = tmp_path / "it.png", np.array([[1000, 2000]], ">u2"), np.array([[1, 12]], "u1")
     path.write_bytes(b"P5 2 1 65535\n" + depth.tobytes())
     assert read_depth(path).tolist() == [[1, 2]]
-    path.write_bytes(b"P5 2 1 255\n" + labels.tobytes())
-    assert read_label_image(path).tolist() == [[1, 20]]
-    path.write_bytes(b"P2 2 1 255\n1 20\n")
-    assert read_label_image(path).tolist() == [[1, 20]]
+    for whole in (b"P5 2 1 255\n" + labels.tobytes(), b"P2 2 1 255\n1 12\n", png(2, 1, 4, b"\0\x1c")):
+        path.write_bytes(whole)
+        assert read_label_image(path).tolist() == [[1, 12]]
     for read, start, numbers in (
         (read_depth, b"P5 2 1 10000\n", depth.tobytes()),
-        (read_label_image, b"P5 2 1 20\n", labels.tobytes()),
-        (read_label_image, b"P2 2 1 20\n", b"1 20\n"),
+        (read_label_image, b"P5 2 1 12\n", labels.tobytes()),
+        (read_label_image, b"P2 2 1 12\n", b"1 12\n"),
     ):
         path.write_bytes(start + numbers)
-        with pytest.raises(ValueError, match=r"it\.png: .*expected 255 or 65535 as its largest number, got (20|10000)"):
+        with pytest.raises(ValueError, match=r"it\.png: .*expected 255 or 65535 as its largest number, got (12|10000)"):
             read(path)
     Image.fromarray(np.kron(labels, np.ones((13, 13), np.uint8))).save(path, "JPEG")
     with pytest.raises(ValueError, match=r"it\.png: expected a grey or palette image of labels, got mode L of JPEG"):

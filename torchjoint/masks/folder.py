@@ -40,7 +40,7 @@ def read_masks(path: Path | str) -> Masks:
     Args:
         path: one of
 
-            * ``NAME.png``: 8- or 16-bit labels, 0 = none;
+            * ``NAME.png``: labels of 2 to 16 bits, 0 = none;
             * a folder of PNGs, each one mask (0 outside), in the order of their numbers, and an optional
               ``metadata.csv`` with scores, as SAM's command line writes it;
             * ``NAME.npz``: what :func:`save_masks` wrote; or ``masks`` ([M, H, W] booleans, or labels [H, W], -1 =

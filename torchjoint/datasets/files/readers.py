@@ -56,6 +56,7 @@ def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tu
                     raise ValueError("its end is lost, there are zeros in its place")
                 how = str([tile.args for tile in image.tile])
                 image.load()
+                image.info["step"] = 85 if "L;2" in how else 17 if "L;4" in how else 1  # Pillow stretches to 255
                 deep = {"RGB": 3, "RGBA": 3, "LA": 1}.get(image.mode, 0) if re.search(";16B|65535", how) else 0
                 if deep and (top := int(np.asarray(image)[..., :deep].max())) < DARK:
                     raise ValueError(f"expected colours up to 65535, got less than {256 * (top + 1)}; make them 8 bits")
@@ -105,7 +106,7 @@ def read_depth(path: Path, unit: float = 0.001) -> Tensor:
 
 
 def read_label_image(path: Path) -> Tensor:
-    """Reads an 8- or 16-bit label image; returns [H, W] int64."""
+    """Reads a label image of 2 to 16 bits; returns [H, W] int64."""
     return labels_of(read_raster(path), str(path))
 
 
@@ -231,8 +232,7 @@ def rgb_of(image: Image.Image, name: str) -> Tensor:
 
 
 def labels_of(image: Image.Image, name: str) -> Tensor:
-    """Converts an 8- or 16-bit label image to [H, W] int64; errors begin with `name`."""
+    """Converts a label image of :func:`decode_image` to [H, W] int64; errors begin with `name`."""
     if image.mode not in ("L", "P", "I;16", "I;16B", "I") or image.format == "JPEG":  # JPEG makes other numbers
-        got = f"mode {image.mode} of {image.format}"
-        raise ValueError(f"{name}: expected a grey or palette image of labels, got {got}")
-    return torch.from_numpy(np.array(image).astype(np.int64))
+        raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode} of {image.format}")
+    return torch.from_numpy(np.array(image).astype(np.int64) // image.info["step"])
