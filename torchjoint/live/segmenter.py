@@ -266,7 +266,7 @@ class LiveSegmenter(nn.Module):
                 bright = brightened_frame(frame)
                 (segments,) = self.image_segmenter([bright], self.stopwatch)
                 kept = self._stored(Keyframe.packed(frame, bright, segments, MAX_DEPTH if self.keep_depth else None))
-                self._compare(frame)
+            (self._compare if is_keyframe else self._compare_at_rest)(frame)
             if frame.depth is not None:
                 with self.stopwatch("fusion"), self._lock:
                     blocks = add_frame(self._volume, frame, origin)
@@ -278,8 +278,6 @@ class LiveSegmenter(nn.Module):
                 self._views.update(seen)
                 self._pose = frame.world_to_camera
                 self._keyframes.append(kept)
-            else:
-                self._compare_at_rest(frame)
 
     @torch.no_grad()
     @one_thread_per_operation()
@@ -434,12 +432,11 @@ class LiveSegmenter(nn.Module):
 
     def _compare(self, frame: Frame) -> None:
         """Keeps the first keyframes with depth, and then compares their poses, once."""
-        if frame.depth is None or self._to_compare is None:
-            return
-        compared = [*self._to_compare, frame]
-        if len(compared) == COMPARED:
-            _check(compared)
-        self._to_compare = compared if len(compared) < COMPARED else None
+        if frame.depth is not None and self._to_compare is not None:
+            compared = [*self._to_compare, frame]
+            if len(compared) == COMPARED:
+                _check(compared)
+            self._to_compare = compared if len(compared) < COMPARED else None
 
     def _compare_at_rest(self, frame: Frame) -> None:
         """Compares frames that are no keyframes while their poses are equal: a tracker may have lost its poses."""
