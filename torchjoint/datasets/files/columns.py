@@ -145,8 +145,8 @@ def unit_colors(colors: Array) -> Tensor:
     colors = colors.astype({"b": "u1", "e": "f4"}.get(colors.dtype.char, colors.dtype), copy=False)
     is_float = colors.dtype.kind == "f"
     largest = float(np.max(colors, initial=0, where=np.abs(colors) <= 65535 if is_float else True))
-    if is_float and np.sum((colors > 0) & (colors < 1)) > np.sum(colors > 1):
-        largest = 1.0  # what is brighter is out of range, and must not darken the others
+    if is_float and np.sum((colors > 0) & (colors < 1)) > 10 * np.sum(colors > 1):
+        largest = 1.0  # the few that are brighter are out of range, and must not darken the others
     elif is_float and largest == 256:
         warnings.warn("colours of 0 to 256: 256 is taken as 255, full brightness", stacklevel=4)
         colors, largest = np.where(colors == 256, 255, colors), 255.0
