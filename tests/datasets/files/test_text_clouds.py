@@ -57,9 +57,10 @@ def test_what_programs_write(tmp_path, name, data):
     np.testing.assert_allclose(read.colors, RGB / 255, atol=1e-6)
 
 
+@pytest.mark.parametrize("step", [1, 7, -3])
 @pytest.mark.parametrize(("first", "more"), [(0, RGB), (1, RGB), (1, RGB[:, :1]), (1, RGB[:, :2])])
-def test_a_column_that_counts_the_rows_is_no_coordinate(tmp_path, first, more):
-    count = np.arange(first, first + 30.0)[:, None]
+def test_a_column_that_counts_the_rows_is_no_coordinate(tmp_path, first, more, step):
+    count = first + step * np.arange(30.0)[:, None]
     (tmp_path / "a.txt").write_text(text(count, XYZ, more))
     with pytest.warns(UserWarning, match=r"a\.txt: (of|the first column counts the rows, and is not read; a first)"):
         read = read_cloud_file(tmp_path / "a.txt")

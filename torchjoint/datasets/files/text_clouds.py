@@ -87,8 +87,7 @@ def _as_utf8(data: bytes) -> bytes:
     """Text without the mark of its encoding and without quotes, with line ends of Unix."""
     if b";" not in data and re.search(rb'"[-+]?\d[-+.\de]*,[^"\n]*"', data):
         raise ValueError("expected decimal points, got commas inside of quotes; replace them")
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        data = data.decode("utf-16").encode()
+    data = data.decode("utf-16").encode() if data[:2] in (b"\xff\xfe", b"\xfe\xff") else data
     return data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b'"', b"")
 
 
@@ -171,8 +170,7 @@ def cloud_of_rows(rows: Array, name: str, is_pts: bool = False) -> CloudFile:
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
     if rows.dtype == np.float16 and rows.size:
         tell_half(float(np.nanmax(np.abs(rows[:, :3]), initial=0)), torch.float16, name)
-    rows = rows.astype(np.float64)
-    if _is_count(rows):
+    if _is_count(rows := rows.astype(np.float64)):
         told = "the first column counts the rows, and is not read; a first line of names (x y z red ...) tells others"
         warnings.warn(f"{name}: {told}", stacklevel=3)
         rows = rows[:, 1:]
@@ -197,10 +195,15 @@ def cloud_of_rows(rows: Array, name: str, is_pts: bool = False) -> CloudFile:
 
 
 def _is_count(rows: Array) -> bool:
-    """Whether the first of four or more columns is 0, 1, 2, ... or 1, 2, 3, ...: no coordinate."""
-    if rows.shape[1] < 4 or len(rows) < FEWEST_COUNTED or rows[0, 0] not in (0, 1):
+    """Whether the first of four or more columns is no coordinate: it is 0, 1, 2, ... or 1, 2, 3, ...
+
+    Or it has whole numbers, no two of them equal, and the next two columns have not: numbers of points, with gaps.
+    """
+    first, whole = rows[:, 0], rows[:, :3] == np.floor(rows[:, :3])
+    if rows.shape[1] < 4 or len(rows) < FEWEST_COUNTED or not whole[:, 0].all():
         return False
-    return bool((rows[:, 0] - rows[0, 0] == np.arange(len(rows))).all())
+    counts = first[0] in (0, 1) and (np.diff(first) == 1).all()
+    return bool(counts or (not whole.all(0)[1:].any() and len(np.unique(first)) == len(rows)))
 
 
 def _known(values: Array) -> Array:
