@@ -116,9 +116,13 @@ def _fuse(frames: Sequence[Frame], voxel_size: float, progress: bool | None, nam
 
 
 def add_frame(volume: Volume, frame: Frame, origin: Tensor, *, only_look: bool = False) -> Tensor:
-    """Adds a frame with depth to a volume whose origin is at `origin` [3] float64; returns the keys of its blocks.
+    """Adds a frame with depth to a volume; returns the keys of the blocks that it sees.
 
-    `only_look`: adds nothing.
+    Args:
+        volume: the volume.
+        frame: with depth.
+        origin: [3] float64 metres, where the volume's origin is.
+        only_look: adds nothing, so that a caller may decide about the frame first.
     """
     assert frame.depth is not None
     pose = frame.world_to_camera.double().clone()

@@ -260,9 +260,9 @@ class LiveSegmenter(nn.Module):
         frames = [frames] if isinstance(frames, Frame) else list(frames)
         for frame in frames:
             origin = volume_origin([frame], self._volume.voxel_size) if self._origin is None else self._origin
-            looks = frame.depth is not None and self._has_moved(frame.world_to_camera)
-            seen = add_frame(self._volume, frame, origin, only_look=True).tolist() if looks else []
-            if is_keyframe := self._has_moved(frame.world_to_camera) and self._is_new(seen):
+            has_moved, has_depth = self._has_moved(frame.world_to_camera), frame.depth is not None
+            seen = add_frame(self._volume, frame, origin, only_look=True).tolist() if has_moved and has_depth else []
+            if is_keyframe := has_moved and self._is_new(seen):
                 bright = brightened_frame(frame)
                 (segments,) = self.image_segmenter([bright], self.stopwatch)
                 kept = self._stored(Keyframe.packed(frame, bright, segments, MAX_DEPTH if self.keep_depth else None))
