@@ -18,9 +18,8 @@ from torchjoint.views.observations import Observation
 ONE_OBJECT = 0.65
 #: Path cost of crossing an outline of a mask, pixels: labels leave a mask only to pixels that no other label reaches.
 OUTLINE_WEIGHT = 200.0
-#: A mask shows an object that is not in the cloud if its points cover less than this share of the usual part of it; or
-#: less than SPARSE_UNLESS_ONE, if they do not have one 3D label.
-SPARSE, SPARSE_UNLESS_ONE = 0.2, 0.5
+#: A mask shows an object that is not in the cloud if its points cover less than this share of the usual part of it.
+SPARSE = 0.2
 #: Smallest number of points that decide the label of a mask or an atom.
 MIN_POINTS = 3
 #: With at least this many points, a mask may be a part of an object that the image mostly shows elsewhere. Fewer points
@@ -99,7 +98,7 @@ def _labels_of_atoms(
     of_atoms = _winners(atom, point_labels, masks.num_atoms, shown)
     is_covered = member.any(1)
 
-    sparse = _is_sparse(masks, mask, (spacing / seen.visible.z)[point].double().square(), of_masks.decides)
+    sparse = _is_sparse(masks, mask, (spacing / seen.visible.z)[point].double().square())
     label = torch.where(of_atoms.decides & is_covered, of_atoms.label, -1)
     few = ~of_atoms.decides & (of_atoms.foreign | (of_atoms.num_points < ENOUGH_POINTS)) & is_covered
     around = masks.smallest(of_masks.decides)
@@ -115,7 +114,7 @@ def _labels_of_atoms(
     return label, len(kept)
 
 
-def _is_sparse(masks: Masks, mask: Tensor, size: Tensor, is_one: Tensor) -> Tensor:
+def _is_sparse(masks: Masks, mask: Tensor, size: Tensor) -> Tensor:
     """Whether points cover much less of each mask than of others. Then its object is not in the cloud; they are stray.
 
     A point covers a square whose side is its spacing, so that things with few points are in the cloud, too.
@@ -124,7 +123,6 @@ def _is_sparse(masks: Masks, mask: Tensor, size: Tensor, is_one: Tensor) -> Tens
         masks: M masks.
         mask: [P] int64, the masks in which points lie.
         size: [P] float64, size in the image of the square of each; unit: pixels of a camera with a focal length of 1.
-        is_one: [M] bool, whether the points have one 3D label.
 
     Returns:
         [M] bool; True for masks without points.
@@ -133,7 +131,7 @@ def _is_sparse(masks: Masks, mask: Tensor, size: Tensor, is_one: Tensor) -> Tens
         return torch.ones(len(masks), dtype=torch.bool)
     covered = torch.zeros(len(masks), dtype=torch.float64).index_add_(0, mask, size) / masks.areas().clamp(min=1)
     usual = covered[mask].median()  # less is covered around half of the points
-    return covered < torch.where(is_one, SPARSE, SPARSE_UNLESS_ONE) * usual
+    return covered < SPARSE * usual
 
 
 def _shown_labels(mask: Tensor, label: Tensor, point_labels: Tensor) -> _Shown:
