@@ -128,9 +128,9 @@ def test_the_method_is_chosen_by_the_config(scene_of) -> None:
     scene: Scene = scene_of(0).scene
     segmenter = JointSegmenter(Config().set(["boundary.detector=gradient"]))
     by_paths = segmenter(scene)
-    sizes, paper = torch.bincount(by_paths.points), segmenter.config.set(["point_segments.method=paper"])
+    none, paper = torch.bincount(by_paths.points) < 0, segmenter.config.set(["point_segments.method=paper"])
     cuts = [
-        label_image(seen, by_paths.points, segmenter.graph, sizes, paper)[0] for seen in segmenter.state.observations
+        label_image(seen, by_paths.points, segmenter.graph, none, paper)[0] for seen in segmenter.state.observations
     ]
     assert any(not torch.equal(one, other) for one, other in zip(by_paths.images, cuts, strict=True))
     other = segmenter.compute(config=segmenter.config.set(["refinement.color_weight=0"]))

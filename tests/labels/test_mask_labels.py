@@ -27,7 +27,10 @@ def box(top: int, left: int, bottom: int, right: int) -> Tensor:
 
 
 def labelled(
-    masks: list[Tensor], points: list[tuple[int, int, int]], spacing: Tensor | None = None
+    masks: list[Tensor],
+    points: list[tuple[int, int, int]],
+    spacing: Tensor | None = None,
+    unmasked: tuple[int, ...] = (),
 ) -> tuple[Tensor, int]:
     """The labels of a grey image with masks, and points (row, column, 3D label), which lie a metre apart by default."""
     row, column, label = (torch.tensor(values) for values in zip(*points, strict=True))
@@ -37,7 +40,8 @@ def labelled(
     seen = Observation("", found.atom, visible, torch.eye(3), torch.eye(4), image, boundary, found)
     graph = graph_of(torch.zeros(len(row), 3), [[0, 1]], torch.zeros(len(row), 3))
     graph = graph if spacing is None else replace(graph, known_spacing=spacing)
-    return label_image(seen, label, graph, torch.bincount(label, minlength=5), Config())
+    of_label = torch.isin(torch.arange(5), torch.tensor(unmasked))
+    return label_image(seen, label, graph, of_label, Config())
 
 
 def test_points_from_behind_do_not_split_a_mask() -> None:
@@ -53,6 +57,14 @@ def test_a_mask_of_two_objects_is_cut() -> None:
     labels, _ = labelled([box(2, 1, 7, 11)], points)
     assert (labels[:, 1:5] == 0).all()
     assert (labels[:, 7:11] == 1).all()
+
+
+def test_what_other_images_show_without_masks_lies_behind() -> None:
+    mask = box(2, 1, 7, 11)
+    points = [(r, c, int(c > 5)) for r in (3, 4, 5) for c in (2, 4, 7, 9)] * 2
+    assert (labelled([mask], points, unmasked=(1,))[0][mask] == 0).all()
+    few = [point for point in points if point[2] or point[0] == 3]  # of the other label: too few to know
+    assert torch.equal(labelled([mask], few, unmasked=(1,))[0], labelled([mask], few)[0])
 
 
 def test_masks_of_one_object_get_one_label() -> None:

@@ -63,8 +63,7 @@ def without_outvoted(markers: Tensor, colors: Tensor, color_weight: float) -> Te
     Returns:
         [H, W] int32.
     """
-    outvoted = outvoted_markers(markers, colors, color_weight, VOTERS, CELL_SIDE)
-    return markers.masked_fill(outvoted, -1)
+    return markers.masked_fill(outvoted_markers(markers, colors, color_weight, VOTERS, CELL_SIDE), -1)
 
 
 #: Path cost of a boundary of strength 1, in units of the cost of an RGB distance of 1. Boundaries add little to
@@ -100,9 +99,7 @@ class SuperpointNumbers(NamedTuple):
     def of(cls, superpoint: Tensor, segment: Tensor) -> SuperpointNumbers:
         """The numbers of P superpoints; `superpoint` [N] int64 is that of each point, `segment` [P] int64 their own."""
         by_segment = torch.argsort(segment, stable=True)
-        number = torch.empty_like(by_segment)
-        number[by_segment] = torch.arange(len(by_segment))
-        return cls(number[superpoint], segment[by_segment].to(torch.int32), by_segment)
+        return cls(torch.argsort(by_segment)[superpoint], segment[by_segment].to(torch.int32), by_segment)
 
 
 def propagate(seen: Observation, point_labels: Tensor, num_segments: int, config: Config) -> tuple[Tensor, int]:

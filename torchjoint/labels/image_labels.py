@@ -14,6 +14,7 @@ from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.store import Packed, pack
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy, LabelImages
+from torchjoint.segments.learned.superpoint_graph import masks_of_superpoints
 from torchjoint.views.observations import Observation, Observations
 
 
@@ -45,28 +46,34 @@ def label_images(
     if hierarchy is not None:
         numbers = SuperpointNumbers.of(hierarchy.superpoint, hierarchy.segments_of_superpoints(hierarchy.default))
     known: dict[int, Packed] = {}
-    sizes = torch.bincount(point_labels)
+    unmasked = unmasked_labels(seen, point_labels)
     bar = tqdm(total=len(seen), desc="images", unit="frame", disable=not (progress and len(seen)))
 
     def refine(index: int) -> tuple[Packed, int]:
         observation = seen[index]
         with stopwatch("image labels"):
             if numbers is None or observation.masks is not None:
-                refined, next_free = label_image(observation, point_labels, graph, sizes, config)
+                refined, next_free = label_image(observation, point_labels, graph, unmasked, config)
             else:
-                refined, next_free, superpoints = propagate_superpoints(observation, len(sizes), numbers, config)
+                refined, next_free, superpoints = propagate_superpoints(observation, len(unmasked), numbers, config)
                 known[index] = pack(superpoints)
         bar.update()
         return pack(refined), next_free
 
     with bar:
         refined = parallel_map(refine, range(len(seen)))
-    offsets = private_id_offsets([next_free for _, next_free in refined], seen, len(sizes))
-    return LabelImages([image for image, _ in refined], len(sizes), offsets), known
+    offsets = private_id_offsets([next_free for _, next_free in refined], seen, len(unmasked))
+    return LabelImages([image for image, _ in refined], len(unmasked), offsets), known
+
+
+def unmasked_labels(seen: Observations, point_labels: Tensor) -> Tensor:
+    """Whether most images with masks show each of the S 3D segments without a mask, [S] bool."""
+    masks, segments = masks_of_superpoints(point_labels, seen), torch.arange(int(point_labels.max()) + 1)
+    return segments < 0 if masks is None else masks.unmasked(segments)
 
 
 def label_image(
-    seen: Observation, point_labels: Tensor, graph: PointGraph, segment_sizes: Tensor, config: Config
+    seen: Observation, point_labels: Tensor, graph: PointGraph, unmasked: Tensor, config: Config
 ) -> tuple[Tensor, int]:
     """The final labels of one image, from the 3D labels of the points that it sees.
 
@@ -74,7 +81,7 @@ def label_image(
         seen: the frame.
         point_labels: [N] int64, 3D labels of all points.
         graph: of the points.
-        segment_sizes: [S] int64, number of points of each 3D segment.
+        unmasked: [S] bool, as :func:`unmasked_labels` gives it.
         config: the refinement, and the image graph.
 
     Returns:
@@ -83,8 +90,8 @@ def label_image(
     """
     labels_there = point_labels[seen.visible.point]
     if config.point_segments.method == "paper":
-        return cut(seen, labels_there, segment_sizes, config)
+        return cut(seen, labels_there, torch.bincount(point_labels), config)
     if seen.masks is not None:
         spacing = graph.spacing[seen.visible.point]
-        return label_masks(seen, seen.masks, labels_there, spacing, segment_sizes.shape[0], config)
-    return propagate(seen, labels_there, segment_sizes.shape[0], config)
+        return label_masks(seen, seen.masks, labels_there, spacing, unmasked, config)
+    return propagate(seen, labels_there, len(unmasked), config)

@@ -96,9 +96,7 @@ class LastingIds:
             raise ValueError("ids: expected ascending cubes, two ids for each, and the next id")
         for name, numbers, least in (("ids", ids, 0), ("last ids", last, -1)):
             if len(ids) and not least <= int(numbers.min()) <= int(numbers.max()) < after:
-                raise ValueError(
-                    f"{name}: expected {least} to {after - 1}, got {int(numbers.min())} to {int(numbers.max())}"
-                )
+                raise ValueError(f"{name}: expected {least} to {after - 1}, got {numbers.min()} to {numbers.max()}")
         self._cube, self._id, self._last, self._next = cube, ids, last, after
 
     def _known(self, cube: Tensor) -> tuple[Tensor, Tensor]:

@@ -47,45 +47,47 @@ class _Winners(NamedTuple):
 class _Shown(NamedTuple):
     """The points of L 3D labels that an image shows."""
 
+    unmasked: Tensor  #: [S] bool: most images show the label without a mask
     num_points: Tensor  #: [L] int64
     in_one_mask: Tensor  #: [L] int64, largest number of these points in one mask
 
 
 def label_masks(
-    seen: Observation, masks: Masks, point_labels: Tensor, spacing: Tensor, num_segments: int, config: Config
+    seen: Observation, masks: Masks, point_labels: Tensor, spacing: Tensor, unmasked: Tensor, config: Config
 ) -> tuple[Tensor, int]:
     """Labels an image by its masks and the points that it sees.
 
     An atom whose points agree gets their label as a whole. An atom with too few points gets the label of the smallest
-    mask around it whose points agree. A mask gets an id of its own, from `num_segments` on, if it has nearly no points,
-    too few to decide, or only points behind it. The other pixels (in atoms whose points disagree, or in no mask) get
-    labels by geodesic label propagation, where outlines of masks count as boundaries.
+    mask around it whose points agree. A mask gets an id of its own, from S on, if it has nearly no points, too few to
+    decide, or only points behind it. The other pixels (in atoms whose points disagree, or in no mask) get labels by
+    geodesic label propagation, where outlines of masks count as boundaries.
+
+    Points of a segment that most images show without a mask lie behind the objects of masks that have other points.
 
     Args:
         seen: the frame.
         masks: its masks.
         point_labels: [M] int64, 3D label of each visible point.
         spacing: [M] metres, distance of each visible point to its neighbours.
-        num_segments: number of 3D segments.
+        unmasked: [S] bool, the 3D segments that most images show without a mask.
         config: the refinement, and the smoothing of the image graph.
 
     Returns:
         ([H, W] int32, the next free id); no pixel is -1, unless there is neither a point nor a mask.
     """
-    of_atom, num_private = _labels_of_atoms(seen, masks, point_labels, spacing, num_segments)
+    of_atom, num_private = _labels_of_atoms(seen, masks, point_labels, spacing, unmasked)
     of_pixel = of_atom.to(torch.int32)[masks.atom]
     markers = nearest_labels(seen.visible, point_labels, masks.size)
     # Labels of 3D segments spread. Ids that occur only in this image do not.
-    whole = torch.where(of_pixel < num_segments, of_pixel, -1)
+    whole = torch.where(of_pixel < len(unmasked), of_pixel, -1)
     colors, outlines, color_weight, _ = path_costs(seen, config)
     markers = torch.where(whole >= 0, whole, markers)
     labels = ops.propagate_labels(markers, colors, outlines, color_weight, OUTLINE_WEIGHT, SPECK)
-    labels = torch.where(whole >= 0, whole, labels)
-    return torch.where(of_pixel >= num_segments, of_pixel, labels), num_segments + num_private
+    return torch.where(of_pixel >= 0, of_pixel, labels), len(unmasked) + num_private
 
 
 def _labels_of_atoms(
-    seen: Observation, masks: Masks, point_labels: Tensor, spacing: Tensor, first_free: int
+    seen: Observation, masks: Masks, point_labels: Tensor, spacing: Tensor, unmasked: Tensor
 ) -> tuple[Tensor, int]:
     """The label of each atom, [K] int64, -1 = not one object; and the number of masks with ids of their own."""
     atom = masks.atom[seen.visible.row, seen.visible.column].long()
@@ -93,7 +95,9 @@ def _labels_of_atoms(
     member = torch.zeros(masks.num_atoms, len(masks), dtype=torch.bool)
     member[masks.pairs[0], masks.pairs[1]] = True
     point, mask = member[atom].nonzero(as_tuple=True)
-    shown = _shown_labels(mask, point_labels[point], point_labels)
+    num_shown, (_, of_pair, count) = torch.bincount(point_labels), counted_pairs(mask, point_labels[point])
+    in_one_mask = torch.zeros_like(num_shown).scatter_reduce_(0, of_pair, count, "amax")
+    shown = _Shown(unmasked, num_shown, in_one_mask)
     of_masks = _winners(mask, point_labels[point], len(masks), shown)
     of_atoms = _winners(atom, point_labels, masks.num_atoms, shown)
     is_covered = member.any(1)
@@ -110,7 +114,7 @@ def _labels_of_atoms(
     alone = is_covered & ((masks.smallest(~sparse) < 0) | (few & (label < 0) & (masks.smallest(is_known) < 0)))
     own = masks.smallest(torch.ones(len(masks), dtype=torch.bool))[alone]
     kept, number = torch.unique(own, return_inverse=True)
-    label[alone] = first_free + number
+    label[alone] = len(unmasked) + number
     return label, len(kept)
 
 
@@ -134,20 +138,16 @@ def _is_sparse(masks: Masks, mask: Tensor, size: Tensor) -> Tensor:
     return covered < SPARSE * usual
 
 
-def _shown_labels(mask: Tensor, label: Tensor, point_labels: Tensor) -> _Shown:
-    """Counts the points of each 3D label that an image shows; `label` [P]: of the points in masks `mask` [P]."""
-    num_points = torch.bincount(point_labels)
-    _, of_pair, count = counted_pairs(mask, label)
-    return _Shown(num_points, torch.zeros_like(num_points).scatter_reduce_(0, of_pair, count, "amax"))
-
-
 def _winners(part: Tensor, label: Tensor, num_parts: int, shown: _Shown) -> _Winners:
     """The most frequent label of points in each part; `part`, `label`: [P]; `shown`: of each label in the image."""
+    masked = ~shown.unmasked[label]
+    has_masked = torch.bincount(part[masked], minlength=num_parts) >= ENOUGH_POINTS
+    part, label = (values[masked | ~has_masked[part]] for values in (part, label))
     num_points = torch.bincount(part, minlength=num_parts)
     of_pair, labels, count = counted_pairs(part, label)
     winner, most = best_of_groups(of_pair, labels, count, num_parts)
     is_one = most >= ONE_OBJECT * num_points.float()
-    all_points, in_one_mask = (torch.cat([values, values.new_ones(1)])[winner] for values in shown)
+    all_points, in_one_mask = (torch.cat([values, values.new_ones(1)])[winner] for values in shown[1:])
     is_small = most < torch.where(is_one, LEAST_PART * all_points.float(), LEAST_PART_OF_SEVERAL * all_points.float())
     foreign = (num_points > 0) & is_small & (in_one_mask >= WHOLE * (all_points - most).float())
     decides = (num_points >= MIN_POINTS) & is_one & ~foreign

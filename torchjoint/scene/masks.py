@@ -29,7 +29,7 @@ class Masks:
     Attributes:
         atom: [H, W] int32, the atom of each pixel, 0 ... K - 1 by first appearance, row by row.
         pairs: [2, L] int64, pairs (atom, mask): the atom lies in the mask. Atoms without a pair are in no mask.
-        scores: [M] float32 in [0, 1], how far each mask can be trusted.
+        scores: [M] float32 in [0, 1], how far each mask can be trusted, compared with the others.
         ids: M numbers that the masks have where they come from; empty: 0 ... M - 1.
         names: M names, such as classes; empty: none.
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.joint import JointSegmenter
-from torchjoint.labels.image_labels import label_image
+from torchjoint.labels.image_labels import label_image, unmasked_labels
 from torchjoint.labels.label import label_points
 from torchjoint.live import LiveResult
 from torchjoint.masks.folder import frame_names
@@ -141,18 +141,18 @@ def labels_so_far(segmenter: JointSegmenter, scene: Scene, names: tuple[str, ...
     Returns:
         a result with one level. Pixels of image segments without points are -1.
     """
+    graph, config = segmenter.graph, segmenter.config
     with torch.no_grad(), one_thread_per_operation():
-        tree = segmenter.method.segment(segmenter.graph, segmenter.state, segmenter.config)
-        labels = label_points(tree, segmenter.graph)
-    of_own = labels.number
-    seen, sizes = segmenter.state.observations[:], torch.bincount(labels.of_graph)  # a copy: frames may be added
+        labels = label_points(segmenter.method.segment(graph, segmenter.state, config), graph)
+    of_own, seen = labels.number, segmenter.state.observations[:]  # a copy: frames may be added
+    unmasked = unmasked_labels(seen, labels.of_graph)
 
     @lru_cache(maxsize=4)
     def image(index: int) -> Tensor:
         if index >= len(seen):
             return torch.full(scene.frames[index].size, -1)
         with torch.no_grad(), one_thread_per_operation():
-            own = label_image(seen[index], labels.of_graph, segmenter.graph, sizes, segmenter.config)[0].long()
-        return torch.where((own >= 0) & (own < len(of_own)), of_own[own.clamp(0, len(of_own) - 1)], -1)
+            own, _ = label_image(seen[index], labels.of_graph, graph, unmasked, config)
+        return torch.where((own >= 0) & (own < len(of_own)), of_own[own.long().clamp(0, len(of_own) - 1)], -1)
 
     return Segmentation(labels.given, LazySequence(len(scene.frames), image), names=names)

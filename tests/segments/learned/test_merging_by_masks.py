@@ -30,6 +30,10 @@ def test_points_of_superpoints_in_masks(seen) -> None:
     evidence = masks_of_superpoints(torch.tensor([0, 0, 1]), [plain, one, one])
     assert evidence is not None
     assert evidence.weight.tolist() == [256, 128, 256, 128]
+    dimmed = with_masks(plain, Masks.from_stack(stack, torch.tensor([0.4, 0.2])))
+    also = masks_of_superpoints(torch.tensor([0, 0, 1]), [dimmed])
+    assert also is not None
+    assert also.weight.tolist() == [256, 128]  # scores compare masks with each other
     assert evidence.frame_of_mask.tolist() == [1, 1, 2, 2]  # the first frame has no masks
     rows = sorted(evidence.in_mask.t().tolist())
     assert rows == [[0, 0, 2], [0, 1, 1], [0, 2, 2], [0, 3, 1]]
@@ -110,6 +114,17 @@ def test_only_small_regions_in_masks_join_their_neighbour() -> None:
     ends = torch.tensor([[0, 0, 0], [1, 2, 3]])
     joined, _ = MaskLinkage(masks, size).merges_of_small(torch.arange(4), ends, torch.ones(3), torch.ones(3).long())
     assert joined.tolist() == [[0], [1]]
+
+
+def test_strays_in_masks_are_no_noise() -> None:
+    # Regions: a thing, of whose 100 points the masks of two frames miss 10, and a floor with two points in them.
+    in_frame = torch.tensor([[0, 0, 1, 1], [0, 1, 0, 1], [100, 100, 500, 500]])
+    masks = MaskCounts(torch.tensor([[0, 0], [0, 1], [90, 90]]), in_frame, torch.full((2,), 256), torch.arange(2))
+    strays = masks._replace(in_mask=torch.tensor([[0, 0, 1, 1], [0, 1, 0, 1], [90, 90, 2, 2]]))
+    assert strays.unmasked(torch.arange(2)).tolist() == [False, True]
+    for one in (masks, strays):
+        linkage = MaskLinkage(one, torch.tensor([100, 500])).calibrated(torch.arange(2))
+        assert linkage.prior_weight == pytest.approx(2 * (1 - 90 * 90 / (90 * 100)))
 
 
 @pytest.mark.parametrize("keeps", [False, True])

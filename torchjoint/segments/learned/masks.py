@@ -70,7 +70,7 @@ class MaskLinkage:
         """
         if self.keeps_outlines:
             confirmed = self.confirmed(of_superpoint)
-            apart = (confirmed[ends] & (confirmed | self._without_masks(of_superpoint))[ends.flip(0)]).any(0)
+            apart = (confirmed[ends] & (confirmed | self.masks.unmasked(of_superpoint))[ends.flip(0)]).any(0)
             ends, cost, count = ends[:, ~apart], cost[~apart], count[~apart]
         return mask_merges(ends, cost, count, *self._tables(of_superpoint), APART_WEIGHT, self.prior_weight, threshold)
 
@@ -98,7 +98,7 @@ class MaskLinkage:
 
         Regions that most views show without a mask stay.
         """
-        stays = self.confirmed(of_superpoint) | self._without_masks(of_superpoint)
+        stays = self.confirmed(of_superpoint) | self.masks.unmasked(of_superpoint)
         return mask_merges(
             ends, cost, count, *self._tables(of_superpoint), APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE
         )
@@ -109,12 +109,6 @@ class MaskLinkage:
         best = torch.zeros(len(size), dtype=torch.float64)
         best.scatter_reduce_(0, in_mask[0], overlaps(self.masks, in_mask, in_frame), "amax")
         return best >= CONFIRMED
-
-    def _without_masks(self, of_superpoint: Tensor) -> Tensor:
-        """Whether most views show a region without a mask, [R] bool."""
-        size, in_mask, in_frame, *_ = self._tables(of_superpoint)
-        in_masks, in_view = (sum_by(table[0], table[2], len(size)) for table in (in_mask, in_frame))
-        return 2 * in_masks < in_view
 
     def _tables(self, of_superpoint: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         size = sum_by(of_superpoint, self.size, int(of_superpoint.max()) + 1)
@@ -128,8 +122,8 @@ class MaskLinkage:
         """
         size, in_mask, in_frame, *_ = self._tables(of_superpoint)
         share = shares_against(self.masks, in_mask, in_frame, len(size))
-        size = size[~share.isnan()]
-        noise = float((share[~share.isnan()] * size).sum() / size.sum()) if len(size) else 0.0
+        known = ~share.isnan() & ~self.masks.unmasked(of_superpoint)  # the others' few points in masks are strays
+        noise = float((share[known] * size[known]).sum() / size[known].sum()) if known.any() else 0.0
         return replace(self, prior_weight=max(LEAST_PRIOR_WEIGHT, PRIOR_WEIGHT_OF_NOISE * noise))
 
 

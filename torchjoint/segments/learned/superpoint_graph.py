@@ -19,7 +19,7 @@ from torchjoint.scene.masks import Masks
 from torchjoint.segments.learned.boundaries import Boundaries
 from torchjoint.segments.learned.images import ImageCounts
 from torchjoint.segments.learned.occluded_surfaces import Occlusions
-from torchjoint.segments.learned.region_statistics import RegionStatistics, pooled
+from torchjoint.segments.learned.region_statistics import RegionStatistics, pooled, sum_by
 from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
 
@@ -38,7 +38,7 @@ class MaskCounts(NamedTuple):
 
     in_mask: Tensor  #: [3, I] int64: superpoint, mask, number of points
     in_frame: Tensor  #: [3, J] int64: superpoint, frame, number of points that the frame sees
-    weight: Tensor  #: [M] int64, score of each mask in units of 1 / WEIGHT_UNIT
+    weight: Tensor  #: [M] int64, score of each mask; WEIGHT_UNIT is the highest score of all
     frame_of_mask: Tensor  #: [M] int64, the frame of each mask; some frames may have no masks
 
     def of_regions(self, of_superpoint: Tensor) -> tuple[Tensor, Tensor]:
@@ -46,6 +46,12 @@ class MaskCounts(NamedTuple):
         rows = (self.in_mask, self.in_frame)
         in_mask, in_frame = (counted_pairs(of_superpoint[superpoint], key, count) for superpoint, key, count in rows)
         return in_mask, in_frame
+
+    def unmasked(self, of_superpoint: Tensor) -> Tensor:
+        """Whether most views show each region without a mask, [R] bool; argument as that of `of_regions`."""
+        rows, num_regions = (self.in_mask, self.in_frame), int(of_superpoint.max()) + 1
+        in_masks, in_view = (sum_by(of_superpoint[superpoint], count, num_regions) for superpoint, _, count in rows)
+        return 2 * in_masks < in_view
 
 
 def masks_of_superpoints(
@@ -79,7 +85,7 @@ def masks_of_superpoints(
     ]
     in_frame = [rows for _, rows, *_ in tables]
     scores = torch.cat([scores for _, _, scores, _ in tables])
-    weight = (scores.double() * WEIGHT_UNIT).round().long()
+    weight = (scores.double() / (max(scores.tolist(), default=0) or 1) * WEIGHT_UNIT).round().long()
     frame_of_mask = torch.cat([torch.full((len(scores),), frame) for _, _, scores, frame in tables])
     return MaskCounts(torch.cat(in_mask, 1), torch.cat(in_frame, 1), weight, frame_of_mask)
 
