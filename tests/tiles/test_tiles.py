@@ -192,9 +192,7 @@ def test_a_buffer_of_few_points_is_told(cloud, tmp_path):
 
 def test_many_tiles_are_told(cloud, tmp_path, monkeypatch):
     monkeypatch.setattr(tiles, "MANY", 3)
-    with pytest.warns(
-        UserWarning, match=r"\d+ tiles for \d+ points, each a file .*: a larger tile, or none, is faster"
-    ):
+    with pytest.warns(UserWarning, match=r"\d+ tiles for \d+ points, each a .*: a larger tile, or none, is faster"):
         superpoints_of_files(cloud, tmp_path / "out.laz", tile=4, buffer=1, engine="loky:1")
 
 
@@ -601,11 +599,12 @@ def test_processes_and_many_tiles(tmp_path):
     assert segmentation_covering(labels, whole).symmetric > 0.98
 
 
-def test_colours_of_12_bits_are_told_of_tiles_too(tmp_path):
-    points = town(3000, 20)
+def test_odd_colours_and_normals_are_told_of_tiles_too(tmp_path):
     las = laspy.create(point_format=7, file_version="1.4")
-    las.x, las.y, las.z = np.asarray(points).T[:3]
+    las.add_extra_dim(laspy.ExtraBytesParams("NormalX", "f4"))
+    las.x, las.y, las.z = np.asarray(town(3000, 20)).T[:3]
     las.red = las.green = las.blue = np.linspace(0, 4095, len(las.x)).astype(np.uint16)
     las.write(tmp_path / "a.las")
-    with pytest.warns(UserWarning, match=r"colours are at most 4095 of 65535, and .*: are they of 12 bits\?"):
+    bits = pytest.warns(UserWarning, match=r"colours are at most 4095 of 65535, and .*: are they of 12 bits\?")
+    with bits, pytest.warns(UserWarning, match=r"a\.las: NormalX: not used in tiles; -o OUT\.npy uses them"):
         superpoints_of_files(tmp_path / "a.las", tmp_path / "b.las")

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from torchjoint.datasets.files.columns import COLORS, NORMALS, PACKED, plain
 from torchjoint.datasets.files.las import LasPoints, epsg_of, las_points, open_las, tell_unit
 from torchjoint.runtime import bounds
 from torchjoint.scene.checks import LARGEST_COORDINATE, check_largest, tell_degrees
@@ -25,6 +26,8 @@ POINTS, MOST_CELLS = 100, 4_000_000
 #: Of files whose boxes and spacings differ by more than this, one has another unit. Files between which a hole is so
 #: many times as wide as the largest file are no one cloud.
 OTHER_UNIT, HOLE = 300, 300
+#: What :func:`torchjoint.datasets.files.las.read_las` takes for colours and normals.
+READ = {*PACKED, *(name for names in (*COLORS, *NORMALS) for name in names)}
 
 
 class Survey(NamedTuple):
@@ -90,33 +93,31 @@ def survey(files: Sequence[Path], align: float | None = None) -> Survey:
 
 def _bounds(files: Sequence[Path]) -> tuple[int, npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """The number of points, and the lowest and highest corner [3] of their box, according to the headers."""
-    lows, highs, counts, with_feet = [], [], [], []
+    boxes, with_feet = np.zeros((len(files), 7)), []
     if len(systems := {epsg_of(path) for path in files} - {None}) > 1:
         codes = ", ".join(f"EPSG:{code}" for code in sorted(filter(None, systems)))
         warnings.warn(f"{files[0].parent}: coordinates of {codes} are taken as those of one system", stacklevel=4)
-    for path in files:
+    for path, box in zip(files, boxes, strict=True):
         with open_las(path) as reader:
             with_feet.append(tell_unit(reader, path))
-            lows.append(reader.header.mins)
-            highs.append(reader.header.maxs)
-            counts.append(reader.header.point_count)
+            box[:] = *reader.header.mins, *reader.header.maxs, reader.header.point_count
+            extra = {*reader.header.point_format.extra_dimension_names} - {"red", "green", "blue"}
+            if left := sorted(name for name in extra if plain(name) in READ):
+                warnings.warn(f"{path}: {', '.join(left)}: not used in tiles; -o OUT.npy uses them", stacklevel=4)
     if len(systems) > 1 and any(with_feet) and not all(with_feet):
         one, other = (files[with_feet.index(has_feet)] for has_feet in (True, False))
         raise ValueError(f"{one}: expected the unit of the other files, got feet; {other} has none")
-    known = {
-        path: (*low, *high, count)
-        for path, low, high, count in zip(files, lows, highs, counts, strict=True)
-        if (low < high).all() and np.abs([low, high]).max() <= LARGEST_COORDINATE
-    }
-    if len({box[:6] for box in known.values()}) < len(known):
+    lows, highs = boxes[:, :3], boxes[:, 3:6]
+    right = np.flatnonzero((lows < highs).all(1) & (np.abs(boxes[:, :6]) <= LARGEST_COORDINATE).all(1))
+    if len(np.unique(boxes[right, :6], axis=0)) < len(right):
         warnings.warn(f"{files[0].parent}: two files have the same box; are their points there twice?", stacklevel=4)
-    if len(known) > 1:
-        _tell_misfit(list(known), np.array(list(known.values())))
+    if len(right) > 1:
+        _tell_misfit([files[one] for one in right.tolist()], boxes[right])
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     if not ((np.abs([low, high]) <= LARGEST_COORDINATE).all() and (low <= high).all()):
         low, high = np.zeros(3), np.zeros(3)  # all points are counted in one cell, then again in a proper grid
     tell_degrees(torch.from_numpy(np.stack([low, high])), str(files[0]))
-    return sum(counts), low, high
+    return int(boxes[:, 6].sum()), low, high
 
 
 def _tell_misfit(files: Sequence[Path], boxes: npt.NDArray[np.float64]) -> None:

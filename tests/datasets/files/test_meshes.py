@@ -286,8 +286,8 @@ def test_kinds_that_are_not_read(change, told, tmp_path):
 
 
 def colored_gltf(path, colors, kind, *, has_faces, material=None):
-    """A triangle or three points; `kind` is glTF's number of the colours' type."""
-    raw = PLANE[:3].astype("<f4").tobytes() + colors.tobytes()
+    """A triangle or three points, two at one place; `kind` is glTF's number of the colours' type."""
+    raw = PLANE[[0, 1, 1]].astype("<f4").tobytes() + colors.tobytes()
     views = [{"buffer": 0, "byteOffset": start, "byteLength": size} for start, size in ((0, 36), (36, colors.nbytes))]
     tree = {
         "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],

@@ -121,8 +121,7 @@ def test_what_cannot_be_read(tmp_path, data, message):
 @pytest.mark.parametrize(
     "head",
     [
-        "z [m],y [m],x [m]",
-        "z (m);y (m);x (m)",
+        "z [m];y (m);x (m)",
         "# z y x",
         "// by a program of x, y, z\n//z,y,x",
         "Height Northing Easting",
@@ -139,6 +138,7 @@ def test_names_with_units(tmp_path, head):
     [
         "x [mm],y [mm],z [mm]",
         "# X(ft) Y(ft) Z(ft)",
+        "# X Y Z\n// units: mm",
         "x (deg);y (deg);z (m)",
         "x [usft],y [usft],z [usft]",
         "e (US survey feet),n (US survey feet),h (m)",
@@ -146,7 +146,7 @@ def test_names_with_units(tmp_path, head):
 )
 def test_units_that_are_no_metres(tmp_path, head):
     (tmp_path / "a.csv").write_text(f"{head}\n1,2,3\n")
-    with pytest.warns(UserWarning, match=r"(?i)a\.csv: [xe] ?.(mm|ft|deg|usft|us survey feet).: taken as metres"):
+    with pytest.warns(UserWarning, match=r"(?i)a\.csv: (// units: |[xe] ?.)(mm|ft|deg|usft|us survey feet).?: taken"):
         assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1, 2, 3]]
 
 

@@ -45,6 +45,10 @@ NOT_READ = re.compile(
     r"padding\d*|_?\d*|filterid|returnnumber|numberofreturns|(original)?cloudindex|material(index|id)|face\w*|edges?"
 )
 
+#: What a comment says of lengths that are no metres.
+NO_METRE = re.compile(rb"^(?:comment|obj_info|#|/).*?\b((?:units?|lengths?|scale|in)\b[^\w\n]{0,3}(?:of |are |is |in )*"
+                      rb"(?:[cmk]m|(?:milli|centi|kilo)met\w+|f(?:ee|oo)?t|inch\w*))\b", re.I | re.M)  # fmt: skip
+
 #: Normals that are shorter have no direction. If more than this share of a column's values is wrong, it is left out.
 SHORTEST, MOST_WRONG = 1e-3, 0.5
 #: Colours may be rounded by less than this.

@@ -131,7 +131,7 @@ def _color_twice(part: Any) -> None:
     own = getattr(part.visual, "vertex_attributes", {}).get("color")
     if own is not None:
         of_material = _of_material(part.visual, len(part.vertices))[:, :3]
-        part.visual = type(part)(part.vertices, part.faces, vertex_colors=own).visual
+        part.visual = type(part)(part.vertices, part.faces, vertex_colors=own, process=False).visual
         part.visual.vertex_colors = (of_material * (part.visual.vertex_colors[:, :3] / 255)).round().astype(np.uint8)
 
 

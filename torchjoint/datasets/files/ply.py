@@ -16,7 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import COLORS, CloudFile, cloud_of, plain, typed
+from torchjoint.datasets.files.columns import COLORS, NO_METRE, CloudFile, cloud_of, plain, typed
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
@@ -26,10 +26,6 @@ Array = npt.NDArray[Any]
 
 #: Largest size of a header, bytes; some writers list thousands of comments.
 MAX_HEADER = 1 << 20
-
-#: What a comment says of lengths that are no metres.
-_NO_METRE = re.compile(rb"^(?:comment|obj_info)\b.*?\b((?:units?|lengths?|scale|in)\b[^\w\n]{0,3}(?:of |are |is |in )*"
-                       rb"(?:[cmk]m|(?:milli|centi|kilo)met\w+|f(?:ee|oo)?t|inch\w*))\b", re.I | re.M)  # fmt: skip
 
 #: Names of the list of a face's vertices.
 _FACE_LISTS = ("vertex_indices", "vertex_index")
@@ -218,7 +214,7 @@ def _read_elements(path: Path) -> dict[str, Columns]:
     data = read_file(path, "a point cloud, .ply")
     with damage_is(str(path)):
         header = parse_header(data)
-        if unit := _NO_METRE.search(data, 0, header.size):
+        if unit := NO_METRE.search(data, 0, header.size):
             warnings.warn(f"{path}: {unit[1].decode('ascii', 'replace')}: taken as metres", stacklevel=5)
         return _ascii_elements(data, header) if header.encoding == "ascii" else _binary_elements(data, header)
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from torchjoint.datasets.files.columns import NOT_READ, POINTS, CloudFile, cloud_of, plain
+from torchjoint.datasets.files.columns import NO_METRE, NOT_READ, POINTS, CloudFile, cloud_of, plain
 from torchjoint.runtime.foreign_files import damage_is, no_twice, read_file
 from torchjoint.scene.checks import tell_half
 
@@ -47,8 +47,8 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
     with damage_is(str(path)):
         data = _as_utf8(read_file(path, "a point cloud as text"))
     start, number, names, count = _preamble(data, f"{path}: not a whole {path.suffix} cloud")
-    if unit := _NO_METRE.search(data, 0, start):
-        warnings.warn(f"{path}: {unit[0].decode()}: taken as metres", stacklevel=4)
+    if unit := _NO_METRE.search(data, 0, start) or NO_METRE.search(data, 0, start):
+        warnings.warn(f"{path}: {unit[0].decode('utf-8', 'replace')}: taken as metres", stacklevel=4)
     rows = _numbers(data[start:], number, path)
     if count is not None and count != len(rows):
         raise ValueError(f"{path}: line {number - 1}: {count} points are counted, got {len(rows)}: is it truncated?")
