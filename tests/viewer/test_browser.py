@@ -104,7 +104,7 @@ def only_viewer(out, tmp_path_factory):
 
 @pytest.fixture
 def viewer(only_viewer, tab):
-    """A viewer without a page: nothing is corrected, selected or chosen, and nothing is left to work in the background."""
+    """A viewer without a page: nothing is corrected, selected or chosen, and nothing works in the background."""
     wait(lambda: not only_viewer.server.get_clients() and not only_viewer._eyes._fitted)  # the last test's
     (only_viewer.folder / "edits.json").unlink(missing_ok=True)
     result, shown = only_viewer.result, Shown(only_viewer.folder)
