@@ -30,7 +30,7 @@ PAPER = tj.Config.from_preset("paper").set(["paper.min_size=20", "image_segments
 
 @pytest.fixture(scope="module")
 def synthetic(scene_of):
-    return scene_of(3)
+    return scene_of(3, num_points=3000)
 
 
 @pytest.fixture(scope="module", params=[CONFIG, PAPER], ids=["default", "paper"])
@@ -715,7 +715,7 @@ def test_beams_without_return_have_no_label(synthetic, preset, tmp_path):
     segmenter = tj.JointSegmenter() if preset is None else tj.JointSegmenter.from_preset(preset)
     expected = segmenter(given.select_points(kept))
     with pytest.warns(
-        UserWarning, match=r"points: 100 of 6100 points are \(0, 0, 0\), beams without return; they are le"
+        UserWarning, match=r"points: 100 of 3100 points are \(0, 0, 0\), beams without return; they are le"
     ):
         result = segmenter(given)
     assert torch.equal(result.points[kept], expected.points)
