@@ -57,9 +57,6 @@ def assert_same(first, second):
 
 
 class TestSameLabels:
-    def test_from_two_runs(self, synthetic, config, result):
-        assert_same(result, tj.JointSegmenter(config)(synthetic.scene))
-
     def test_from_one_thread_and_three(self, synthetic, config, result, set_threads):
         for count in (1, 3):
             set_threads(count)

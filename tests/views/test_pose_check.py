@@ -61,7 +61,7 @@ def messages(scene):
 )
 @pytest.mark.parametrize("kind", ["labels", "masks"])
 def test_masks_of_other_images_are_told(scene_of, change, told, kind):
-    synthetic = scene_of(0, num_points=3000)
+    synthetic = scene_of(0)
     given = change(list(synthetic.image_labels))
     if kind == "masks":
         given = [tj.masks.from_labels(one) for one in given]
@@ -153,7 +153,7 @@ def test_a_cloud_of_many_views_is_no_scan(boxes):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_synthetic_scenes_without_colours_are_silent(seed, scene_of):
-    scene = scene_of(seed, num_points=3000).scene
+    scene = scene_of(seed).scene
     frames = [dataclasses.replace(frame, depth=None) for frame in scene.frames]
     assert messages(dataclasses.replace(scene, frames=frames, colors=None)) == []
 
