@@ -65,7 +65,7 @@ class TestSameLabels:
 
     @pytest.mark.slow
     def test_from_two_threads_with_one_segmenter(self, synthetic, plain):
-        segmenter, other = tj.JointSegmenter(CONFIG), synthetic.scene.select_points(torch.arange(3000))
+        segmenter, other = tj.JointSegmenter(CONFIG), synthetic.scene.select_points(torch.arange(1500))
         with ThreadPoolExecutor(4) as threads:
             found = list(threads.map(segmenter, [synthetic.scene, other, other]))
         expected = [plain, *[tj.JointSegmenter(CONFIG)(other)] * 2]
