@@ -49,10 +49,8 @@ FLAGS = ["--enable-unsafe-swiftshader", "--use-angle=swiftshader", "--no-sandbox
 #: Of the page, pixels. It is small, as drawing by software takes its time for each pixel; the panel has the last 323.
 SIZE = {"width": 900, "height": 650}
 #: Hides viser's note that there is no GPU, which lies before the cloud.
-NO_NOTE = """addEventListener("DOMContentLoaded", () => {
-  document.head.append(document.createElement("style"));
-  document.head.lastChild.textContent = "#webgl-software-rendering { display: none }";
-})"""
+STYLE = "<style>#webgl-software-rendering { display: none }</style>"
+NO_NOTE = f"addEventListener('DOMContentLoaded', () => document.head.insertAdjacentHTML('beforeend', '{STYLE}'))"
 
 
 @pytest.fixture(scope="module")
@@ -78,9 +76,8 @@ def tab(only_tab):
 
 @pytest.fixture
 def phone(tab, browser):
-    screen = {"width": 390, "height": 844}
-    phone = new_page(browser, viewport=screen, is_mobile=True, has_touch=True, color_scheme="dark")
-    with contextlib.closing(phone):
+    options = {"is_mobile": True, "has_touch": True, "color_scheme": "dark"}
+    with contextlib.closing(new_page(browser, viewport={"width": 390, "height": 844}, **options)) as phone:
         yield phone
 
 
@@ -540,10 +537,7 @@ def test_the_granularity_slider_and_the_frame_slider(viewer, page):
     frames.press("ArrowRight")
     wait(lambda: page.get_attribute("#tj-image", "alt") == viewer.result.names[1] != image)
     page.get_by_role("button", name="Stand at this camera").click()
-    center = (
-        -np.linalg.inv(viewer.result.scene.frames[1].world_to_camera.numpy())[:3, :3]
-        @ (viewer.result.scene.frames[1].world_to_camera.numpy()[:3, 3])
-    )
+    center = camera_center(viewer.result.scene.frames[1].world_to_camera).numpy()
     wait(lambda: np.abs(np.asarray(camera(viewer).position) - center).max() < 0.01)
     # What the camera saw is now drawn where its image has it.
     u, v, _ = on_screen(viewer, viewer.result.scene.points.numpy())
