@@ -44,7 +44,7 @@ class TestByHand:
 
 @pytest.fixture(scope="module")
 def result(scene_of):
-    return tj.JointSegmenter(LEARNED)(scene_of(3, num_points=3000).scene)
+    return tj.JointSegmenter(LEARNED)(scene_of(3).scene)
 
 
 def test_superpoints_lie_inside_the_segments_of_the_images(result):
@@ -61,7 +61,7 @@ def test_superpoints_lie_inside_the_segments_of_the_images(result):
 def test_superpoints_are_propagated_with_their_labels(scene_of, monkeypatch, least):
     """Also where paths are equally cheap: labels are those that segments give, without specks the superpoints, too."""
     monkeypatch.setattr(geodesic, "MIN_POINTS", least)
-    segmenter, scene = tj.JointSegmenter(LEARNED), scene_of(3, num_points=3000).scene
+    segmenter, scene = tj.JointSegmenter(LEARNED), scene_of(3).scene
     segmenter(scene)
     hierarchy = segmenter.method.segment(segmenter.graph, segmenter.state, segmenter.config)
     of_superpoint = hierarchy.segments_of_superpoints(hierarchy.default)
@@ -93,7 +93,7 @@ def test_levels_of_a_scene_are_nested(result):
 
 
 def test_neither_threads_nor_later_frames_matter(scene_of, result, set_threads):
-    scene = scene_of(3, num_points=3000).scene
+    scene = scene_of(3).scene
     segmenter = tj.JointSegmenter(LEARNED)
     segmenter.reset(scene.points, scene.colors)
     segmenter.update(list(scene.frames[:2]))
@@ -107,8 +107,6 @@ def test_neither_threads_nor_later_frames_matter(scene_of, result, set_threads):
 
 
 def test_other_methods_have_none(scene_of):
-    result = tj.JointSegmenter(tj.Config.from_preset("paper").set(["boundary.detector=gradient"]))(
-        scene_of(3, num_points=3000).scene
-    )
+    result = tj.JointSegmenter(tj.Config.from_preset("paper").set(["boundary.detector=gradient"]))(scene_of(3).scene)
     assert result.hierarchy is None
     assert len(result.superpoint_images) == 0
