@@ -30,7 +30,7 @@ PAPER = tj.Config.from_preset("paper").set(["paper.min_size=20", "image_segments
 
 @pytest.fixture(scope="module")
 def synthetic(scene_of):
-    return scene_of(3)
+    return scene_of(3, num_points=3000)
 
 
 @pytest.fixture(scope="module", params=[CONFIG, PAPER], ids=["default", "paper"])
@@ -57,9 +57,6 @@ def assert_same(first, second):
 
 
 class TestSameLabels:
-    def test_from_two_runs(self, synthetic, config, result):
-        assert_same(result, tj.JointSegmenter(config)(synthetic.scene))
-
     def test_from_one_thread_and_three(self, synthetic, config, result, set_threads):
         for count in (1, 3):
             set_threads(count)
@@ -68,7 +65,7 @@ class TestSameLabels:
 
     @pytest.mark.slow
     def test_from_two_threads_with_one_segmenter(self, synthetic, plain):
-        segmenter, other = tj.JointSegmenter(CONFIG), synthetic.scene.select_points(torch.arange(3000))
+        segmenter, other = tj.JointSegmenter(CONFIG), synthetic.scene.select_points(torch.arange(1500))
         with ThreadPoolExecutor(4) as threads:
             found = list(threads.map(segmenter, [synthetic.scene, other, other]))
         expected = [plain, *[tj.JointSegmenter(CONFIG)(other)] * 2]
@@ -715,7 +712,7 @@ def test_beams_without_return_have_no_label(synthetic, preset, tmp_path):
     segmenter = tj.JointSegmenter() if preset is None else tj.JointSegmenter.from_preset(preset)
     expected = segmenter(given.select_points(kept))
     with pytest.warns(
-        UserWarning, match=r"points: 100 of 6100 points are \(0, 0, 0\), beams without return; they are le"
+        UserWarning, match=r"points: 100 of 3100 points are \(0, 0, 0\), beams without return; they are le"
     ):
         result = segmenter(given)
     assert torch.equal(result.points[kept], expected.points)

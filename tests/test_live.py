@@ -15,7 +15,7 @@ import torch
 import torchjoint as tj
 from torchjoint.datasets.fusion import fuse_cloud
 
-VOXEL = 0.05
+VOXEL = 0.08
 
 
 @pytest.fixture(scope="module")
@@ -281,7 +281,7 @@ def test_a_saved_segmenter_goes_on_to_the_bit(frames, tmp_path, stop):
 
 def test_a_wrong_state_is_named(frames, tmp_path):
     played(frames[:1]).save(tmp_path / "state")
-    with pytest.raises(ValueError, match=r"expected a state with \{'voxel_size': 0.02.*got \{'voxel_size': 0.05"):
+    with pytest.raises(ValueError, match=r"expected a state with \{'voxel_size': 0.02.*got \{'voxel_size': 0.08"):
         tj.LiveSegmenter().restore(tmp_path / "state")
     content = bytearray((tmp_path / "state").read_bytes())
     content[-10] ^= 1
@@ -323,14 +323,14 @@ import os, sys
 import torch, torchjoint as tj
 torch.set_num_threads(1)  # threads do not survive a fork
 frames = tj.synthetic.make_scene(0, num_views=4, num_points=500, height=48, width=64).scene.frames
-tj.LiveSegmenter(voxel_size=0.05).update(frames[0])  # what is made with the first frame is made once
+tj.LiveSegmenter(voxel_size=0.08).update(frames[0])  # what is made with the first frame is made once
 for _ in sys.stdin:
     process = os.fork()
     if process:
         os.waitpid(process, 0)
         print("dead", flush=True)
         continue
-    segmenter = tj.LiveSegmenter(voxel_size=0.05)
+    segmenter = tj.LiveSegmenter(voxel_size=0.08)
     while True:
         for frame in frames:
             segmenter.update(frame)
