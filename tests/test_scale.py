@@ -13,11 +13,14 @@ from torchjoint.metrics import segmentation_covering
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(("desk", 2), id="desk"), pytest.param(("bin", 8), id="bin", marks=pytest.mark.slow)],
+    params=[
+        pytest.param(("desk", 2, 8_000), id="desk"),
+        pytest.param(("bin", 8, 15_000), id="bin", marks=pytest.mark.slow),
+    ],
 )
 def scene(request):
-    domain, seed = request.param
-    return make_domain_scene(domain, seed, num_points=15_000, num_views=4).scene
+    domain, seed, num_points = request.param
+    return make_domain_scene(domain, seed, num_points=num_points, num_views=4).scene
 
 
 @pytest.fixture(scope="module")
