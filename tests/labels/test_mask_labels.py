@@ -12,7 +12,7 @@ from torchjoint_lab.synthetic import with_network_masks
 import torchjoint as tj
 from torchjoint.config import Config
 from torchjoint.images.contours import outlines
-from torchjoint.labels.image_labels import label_image
+from torchjoint.labels.image_labels import label_image, unmasked_labels
 from torchjoint.scene import Masks
 from torchjoint.views.observations import Observation
 from torchjoint.views.visibility import Visible
@@ -65,6 +65,17 @@ def test_what_other_images_show_without_masks_lies_behind() -> None:
     assert (labelled([mask], points, unmasked=(1,))[0][mask] == 0).all()
     few = [point for point in points if point[2] or point[0] == 3]  # of the other label: too few to know
     assert torch.equal(labelled([mask], few, unmasked=(1,))[0], labelled([mask], few)[0])
+
+
+def test_what_a_mask_confirms_is_not_unmasked(seen) -> None:
+    thing, plain = Masks.from_stack(torch.tensor([[[True, True, False, False]]])), seen(range(4), range(4))
+    of_one = replace(plain, labels=thing.atom, masks=thing)
+    nothing = Masks.from_stack(torch.zeros(0, 1, 4, dtype=torch.bool))
+    frames = [of_one, *[replace(plain, labels=nothing.atom, masks=nothing)] * 4, plain]
+    point_labels = torch.tensor([0, 0, 1, 1])
+    assert unmasked_labels(frames, point_labels).tolist() == [False, True]
+    assert unmasked_labels(frames[1:], point_labels).tolist() == [True, True]
+    assert unmasked_labels(frames[-1:], point_labels).tolist() == [False, False]  # no frame has masks
 
 
 def test_masks_of_one_object_get_one_label() -> None:

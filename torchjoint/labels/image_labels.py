@@ -14,6 +14,7 @@ from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.store import Packed, pack
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy, LabelImages
+from torchjoint.segments.learned.masks import MaskLinkage
 from torchjoint.segments.learned.superpoint_graph import masks_of_superpoints
 from torchjoint.views.observations import Observation, Observations
 
@@ -67,9 +68,10 @@ def label_images(
 
 
 def unmasked_labels(seen: Observations, point_labels: Tensor) -> Tensor:
-    """Whether most images with masks show each of the S 3D segments without a mask, [S] bool."""
-    masks, segments = masks_of_superpoints(point_labels, seen), torch.arange(int(point_labels.max()) + 1)
-    return segments < 0 if masks is None else masks.unmasked(segments)
+    """Whether most views show each of the S 3D segments without a mask, and no mask confirms it; [S] bool."""
+    linkage = MaskLinkage.of(masks_of_superpoints(point_labels, seen), torch.bincount(point_labels))
+    segments = torch.arange(int(point_labels.max()) + 1)
+    return segments < 0 if linkage is None else linkage.masks.unmasked(segments) & ~linkage.confirmed(segments)
 
 
 def label_image(

@@ -47,7 +47,7 @@ class _Winners(NamedTuple):
 class _Shown(NamedTuple):
     """The points of L 3D labels that an image shows."""
 
-    unmasked: Tensor  #: [S] bool: most images show the label without a mask
+    unmasked: Tensor  #: [S] bool: most images show the label without a mask, and no mask confirms it
     num_points: Tensor  #: [L] int64
     in_one_mask: Tensor  #: [L] int64, largest number of these points in one mask
 
@@ -62,14 +62,14 @@ def label_masks(
     decide, or only points behind it. The other pixels (in atoms whose points disagree, or in no mask) get labels by
     geodesic label propagation, where outlines of masks count as boundaries.
 
-    Points of a segment that most images show without a mask lie behind the objects of masks that have other points.
+    Points of such `unmasked` segments lie behind the objects of masks that have other points.
 
     Args:
         seen: the frame.
         masks: its masks.
         point_labels: [M] int64, 3D label of each visible point.
         spacing: [M] metres, distance of each visible point to its neighbours.
-        unmasked: [S] bool, the 3D segments that most images show without a mask.
+        unmasked: [S] bool, the 3D segments that most images show without a mask, and no mask confirms.
         config: the refinement, and the smoothing of the image graph.
 
     Returns:
@@ -96,8 +96,7 @@ def _labels_of_atoms(
     member[masks.pairs[0], masks.pairs[1]] = True
     point, mask = member[atom].nonzero(as_tuple=True)
     num_shown, (_, of_pair, count) = torch.bincount(point_labels), counted_pairs(mask, point_labels[point])
-    in_one_mask = torch.zeros_like(num_shown).scatter_reduce_(0, of_pair, count, "amax")
-    shown = _Shown(unmasked, num_shown, in_one_mask)
+    shown = _Shown(unmasked, num_shown, torch.zeros_like(num_shown).scatter_reduce_(0, of_pair, count, "amax"))
     of_masks = _winners(mask, point_labels[point], len(masks), shown)
     of_atoms = _winners(atom, point_labels, masks.num_atoms, shown)
     is_covered = member.any(1)
@@ -112,8 +111,7 @@ def _labels_of_atoms(
     # A mask with too little evidence gets an id of its own, so that no label from around it floods it.
     is_known = ~sparse & (of_masks.decides | (~of_masks.foreign & (of_masks.num_points >= ENOUGH_POINTS)))
     alone = is_covered & ((masks.smallest(~sparse) < 0) | (few & (label < 0) & (masks.smallest(is_known) < 0)))
-    own = masks.smallest(torch.ones(len(masks), dtype=torch.bool))[alone]
-    kept, number = torch.unique(own, return_inverse=True)
+    kept, number = torch.unique(masks.smallest(torch.ones(len(masks), dtype=torch.bool))[alone], return_inverse=True)
     label[alone] = len(unmasked) + number
     return label, len(kept)
 
