@@ -117,13 +117,13 @@ def test_only_small_regions_in_masks_join_their_neighbour() -> None:
 
 
 def test_strays_in_masks_are_no_noise() -> None:
-    # Regions: a thing, of whose 100 points the masks of two frames miss 10, and a floor with two points in them.
-    in_frame = torch.tensor([[0, 0, 1, 1], [0, 1, 0, 1], [100, 100, 500, 500]])
-    masks = MaskCounts(torch.tensor([[0, 0], [0, 1], [90, 90]]), in_frame, torch.full((2,), 256), torch.arange(2))
-    strays = masks._replace(in_mask=torch.tensor([[0, 0, 1, 1], [0, 1, 0, 1], [90, 90, 2, 2]]))
-    assert strays.unmasked(torch.arange(2)).tolist() == [False, True]
+    # Regions: a floor, and a thing, of whose 100 points the masks of two frames miss 10. A third frame has no masks.
+    in_frame = torch.tensor([[0, 0, 0, 1, 1], [0, 1, 2, 0, 1], [500, 500, 500, 100, 100]])
+    masks = MaskCounts(torch.tensor([[1, 1], [0, 1], [90, 90]]), in_frame, torch.full((2,), 256), torch.arange(2))
+    strays = masks._replace(in_mask=torch.tensor([[1, 1, 0, 0], [0, 1, 0, 1], [90, 90, 2, 2]]))
+    assert strays.unmasked(torch.arange(2)).tolist() == [True, False]
     for one in (masks, strays):
-        linkage = MaskLinkage(one, torch.tensor([100, 500])).calibrated(torch.arange(2))
+        linkage = MaskLinkage(one, torch.tensor([500, 100])).calibrated(torch.arange(2))
         assert linkage.prior_weight == pytest.approx(2 * (1 - 90 * 90 / (90 * 100)))
 
 
