@@ -135,7 +135,8 @@ def counts(
         frame_of_mask.append(np.full(mask.max() + 1, frame))
         num_masks += mask.max() + 1
     tables = (torch.from_numpy(np.concatenate(rows, 1)) for rows in (in_mask, in_frame))
-    return MaskCounts(*tables, torch.full((num_masks,), WEIGHT_UNIT), torch.from_numpy(np.concatenate(frame_of_mask)))
+    frames, bare = torch.from_numpy(np.concatenate(frame_of_mask)), torch.empty(2, 0, dtype=torch.int64)
+    return MaskCounts(*tables, torch.full((num_masks,), WEIGHT_UNIT), frames, bare)
 
 
 def memory(name: str) -> float:

@@ -31,9 +31,11 @@ def test_points_of_superpoints_in_masks(seen) -> None:
     assert evidence is not None
     assert evidence.weight.tolist() == [256, 128, 256, 128]
     dimmed = with_masks(plain, Masks.from_stack(stack, torch.tensor([0.4, 0.2])))
-    also = masks_of_superpoints(torch.tensor([0, 0, 1]), [dimmed])
+    nothing = with_masks(plain, Masks.from_stack(stack[:0]))
+    also = masks_of_superpoints(torch.tensor([0, 0, 1]), [dimmed, nothing, nothing])
     assert also is not None
     assert also.weight.tolist() == [256, 128]  # scores compare masks with each other
+    assert also.unmasked(torch.arange(2)).tolist() == [True, True]  # no point counts for two masks
     assert evidence.frame_of_mask.tolist() == [1, 1, 2, 2]  # the first frame has no masks
     rows = sorted(evidence.in_mask.t().tolist())
     assert rows == [[0, 0, 2], [0, 1, 1], [0, 2, 2], [0, 3, 1]]
@@ -74,24 +76,21 @@ def share_of_one_label(labels: Tensor) -> float:
 def test_masks_cut_what_geometry_cannot() -> None:
     points = wall()
     labels = segments(points, [halves()] * 3)
-    left = points[:, 0] < -0.02
-    right = points[:, 0] > 0.02
+    left, right = points[:, 0] < -0.02, points[:, 0] > 0.02
     assert share_of_one_label(labels[left]) > 0.97
     assert share_of_one_label(labels[right]) > 0.97
     assert labels[left].mode().values != labels[right].mode().values
 
 
 def test_one_wrong_mask_of_five_is_outvoted() -> None:
-    points = wall()
-    merged = torch.ones(1, *SIZE, dtype=torch.bool)
+    points, merged = wall(), torch.ones(1, *SIZE, dtype=torch.bool)
     labels = segments(points, [halves()] * 4 + [merged])
     assert labels[points[:, 0] < -0.02].mode().values != labels[points[:, 0] > 0.02].mode().values
 
 
 @pytest.mark.parametrize("others", [0, 3])
 def test_a_mask_that_splits_an_object_in_some_frames_is_outvoted(others: int) -> None:
-    points = wall()
-    whole = torch.ones(1, *SIZE, dtype=torch.bool)
+    points, whole = wall(), torch.ones(1, *SIZE, dtype=torch.bool)
     labels = segments(points, [whole] * others + [halves()])
     assert (share_of_one_label(labels) > 0.97) == (others == 3)
 
@@ -110,20 +109,21 @@ def test_only_small_regions_in_masks_join_their_neighbour() -> None:
     size = torch.tensor([1000, 10, 10, 10])
     in_mask = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 1], [500, 10, 4, 9]])
     in_frame = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 0], [500, 10, 10, 10]])
-    masks = MaskCounts(in_mask, in_frame, torch.tensor([256, 256]), torch.tensor([0, 0]))
+    masks = MaskCounts(in_mask, in_frame, torch.full((2,), 256), torch.tensor([0, 0]), torch.tensor([[2, 3], [6, 1]]))
     ends = torch.tensor([[0, 0, 0], [1, 2, 3]])
     joined, _ = MaskLinkage(masks, size).merges_of_small(torch.arange(4), ends, torch.ones(3), torch.ones(3).long())
     assert joined.tolist() == [[0], [1]]
 
 
 def test_strays_in_masks_are_no_noise() -> None:
-    # Regions: a thing, of whose 100 points the masks of two frames miss 10, and a floor with two points in them.
-    in_frame = torch.tensor([[0, 0, 1, 1], [0, 1, 0, 1], [100, 100, 500, 500]])
-    masks = MaskCounts(torch.tensor([[0, 0], [0, 1], [90, 90]]), in_frame, torch.full((2,), 256), torch.arange(2))
-    strays = masks._replace(in_mask=torch.tensor([[0, 0, 1, 1], [0, 1, 0, 1], [90, 90, 2, 2]]))
-    assert strays.unmasked(torch.arange(2)).tolist() == [False, True]
+    # Regions: a floor, and a thing, of whose 100 points the masks of two frames miss 10. A third frame has no masks.
+    in_frame = torch.tensor([[0, 0, 0, 1, 1], [0, 1, 2, 0, 1], [500, 500, 500, 100, 100]])
+    in_mask, bare = torch.tensor([[1, 1], [0, 1], [90, 90]]), torch.tensor([[0, 1], [1496, 20]])
+    masks = MaskCounts(in_mask, in_frame, torch.full((2,), 256), torch.arange(2), bare)
+    strays = masks._replace(in_mask=torch.tensor([[1, 1, 0, 0], [0, 1, 0, 1], [90, 90, 2, 2]]))
+    assert strays.unmasked(torch.arange(2)).tolist() == [True, False]
     for one in (masks, strays):
-        linkage = MaskLinkage(one, torch.tensor([100, 500])).calibrated(torch.arange(2))
+        linkage = MaskLinkage(one, torch.tensor([500, 100])).calibrated(torch.arange(2))
         assert linkage.prior_weight == pytest.approx(2 * (1 - 90 * 90 / (90 * 100)))
 
 
@@ -133,7 +133,7 @@ def test_what_a_mask_confirms_keeps_its_outline(keeps: bool) -> None:
     size = torch.tensor([100, 80, 20, 100])
     in_mask = torch.tensor([[0, 1, 2], [0, 1, 1], [100, 80, 20]])
     in_frame = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 0], [100, 80, 20, 100]])
-    masks = MaskCounts(in_mask, in_frame, torch.tensor([256, 256]), torch.tensor([0, 0]))
+    masks = MaskCounts(in_mask, in_frame, torch.full((2,), 256), torch.tensor([0, 0]), torch.tensor([[3], [100]]))
     linkage = MaskLinkage(masks, size, keeps_outlines=keeps)
     assert linkage.confirmed(torch.arange(4)).tolist() == [True, True, False, False]
     ends = torch.tensor([[0, 0, 1, 1], [1, 3, 2, 3]])

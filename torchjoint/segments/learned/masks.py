@@ -158,7 +158,7 @@ def overlaps(masks: MaskCounts, in_mask: Tensor, in_frame: Tensor) -> Tensor:
 def _seen_with(masks: MaskCounts, in_mask: Tensor, in_frame: Tensor) -> Tensor:
     """For each row (region, mask, points): how many points of the region the mask's frame sees."""
     region, mask, _ = in_mask
-    num_frames = int(masks.frame_of_mask.max()) + 1 if len(masks.frame_of_mask) else 1
+    num_frames = int(in_frame[1].max()) + 1 if in_frame.numel() else 1  # the last of them may have no masks
     view, order = (in_frame[0] * num_frames + in_frame[1]).sort()
     place, _ = find(view, region * num_frames + masks.frame_of_mask[mask])
     return in_frame[2][order][place]

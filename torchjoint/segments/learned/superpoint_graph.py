@@ -40,6 +40,7 @@ class MaskCounts(NamedTuple):
     in_frame: Tensor  #: [3, J] int64: superpoint, frame, number of points that the frame sees
     weight: Tensor  #: [M] int64, score of each mask; WEIGHT_UNIT is the highest score of all
     frame_of_mask: Tensor  #: [M] int64, the frame of each mask; some frames may have no masks
+    bare: Tensor  #: [2, K] int64: superpoint, number of points that a frame with masks sees in none
 
     def of_regions(self, of_superpoint: Tensor) -> tuple[Tensor, Tensor]:
         """`in_mask` and `in_frame` of regions instead of superpoints; `of_superpoint` [P] int64: the region of each."""
@@ -49,9 +50,9 @@ class MaskCounts(NamedTuple):
 
     def unmasked(self, of_superpoint: Tensor) -> Tensor:
         """Whether most views show each region without a mask, [R] bool; argument as that of `of_regions`."""
-        rows, num_regions = (self.in_mask, self.in_frame), int(of_superpoint.max()) + 1
-        in_masks, in_view = (sum_by(of_superpoint[superpoint], count, num_regions) for superpoint, _, count in rows)
-        return 2 * in_masks < in_view
+        rows, num_regions = (self.bare, self.in_frame), int(of_superpoint.max()) + 1
+        bare, in_view = (sum_by(of_superpoint[one[0]], one[-1], num_regions) for one in rows)
+        return 2 * bare > in_view  # masks may overlap
 
 
 def masks_of_superpoints(
@@ -68,7 +69,7 @@ def masks_of_superpoints(
         None if no frame has masks.
     """
 
-    def count(frame: int) -> tuple[Tensor, Tensor, Tensor, int] | None:
+    def count(frame: int) -> tuple[Tensor, Tensor, Tensor, int, Tensor] | None:
         seen = observations[frame]
         if seen.masks is None:
             return None
@@ -78,22 +79,20 @@ def masks_of_superpoints(
     tables = [one for one in parallel_map(count, range(len(observations))) if one is not None]
     if not tables:
         return None
-    num_masks = torch.tensor([len(scores) for _, _, scores, _ in tables])
+    num_masks = torch.tensor([len(scores) for _, _, scores, *_ in tables])
     first = num_masks.cumsum(0) - num_masks
-    in_mask = [
-        rows + torch.tensor([[0], [start], [0]]) for (rows, *_), start in zip(tables, first.tolist(), strict=True)
-    ]
-    in_frame = [rows for _, rows, *_ in tables]
-    scores = torch.cat([scores for _, _, scores, _ in tables])
+    in_mask = [one[0] + torch.tensor([[0], [start], [0]]) for one, start in zip(tables, first.tolist(), strict=True)]
+    in_frame, bare = (torch.cat(rows, 1) for rows in zip(*((one[1], one[4]) for one in tables), strict=True))
+    scores = torch.cat([scores for _, _, scores, *_ in tables])
     weight = (scores.double() / (max(scores.tolist(), default=0) or 1) * WEIGHT_UNIT).round().long()
-    frame_of_mask = torch.cat([torch.full((len(scores),), frame) for _, _, scores, frame in tables])
-    return MaskCounts(torch.cat(in_mask, 1), torch.cat(in_frame, 1), weight, frame_of_mask)
+    frame_of_mask = torch.cat([torch.full((len(scores),), frame) for _, _, scores, frame, _ in tables])
+    return MaskCounts(torch.cat(in_mask, 1), in_frame, weight, frame_of_mask, bare)
 
 
 def _count(
     superpoint: Tensor, visible: Visible, masks: Masks, frame: int, chosen: Tensor | slice
-) -> tuple[Tensor, Tensor, Tensor, int]:
-    """For one frame: rows (superpoint, mask, points); rows (superpoint, frame, visible points); scores; its number."""
+) -> tuple[Tensor, Tensor, Tensor, int, Tensor]:
+    """For one frame: rows (superpoint, mask, points), (superpoint, frame, visible points); scores; number; `bare`."""
     there = superpoint[visible.point[chosen]]
     of_superpoint, num_seen = torch.unique(there, return_counts=True)
     in_frame = torch.stack([of_superpoint, torch.full_like(of_superpoint, frame), num_seen])
@@ -102,7 +101,8 @@ def _count(
     # Each atom counts for all masks in which it lies.
     atoms, mask = masks.pairs[:, torch.argsort(masks.pairs[0], stable=True)]
     row, member = members_of_groups(torch.bincount(atoms, minlength=masks.num_atoms), atom)
-    return counted_pairs(region[row], mask[member], count[row]), in_frame, masks.scores, frame
+    bare = torch.stack([region, count])[:, ~torch.isin(atom, atoms)]
+    return counted_pairs(region[row], mask[member], count[row]), in_frame, masks.scores, frame, bare
 
 
 def pairs_in_one_group(member: Tensor, group: Tensor, num_members: int) -> Tensor:
