@@ -137,7 +137,10 @@ def _is_sparse(masks: Masks, mask: Tensor, size: Tensor) -> Tensor:
 
 
 def _winners(part: Tensor, label: Tensor, num_parts: int, shown: _Shown) -> _Winners:
-    """The most frequent label of points in each part; `part`, `label`: [P]; `shown`: of each label in the image."""
+    """The most frequent label of points in each part; `part`, `label`: [P]; `shown`: of each label in the image.
+
+    Points of unmasked labels do not count in a part with ENOUGH_POINTS others: they lie behind.
+    """
     masked = ~shown.unmasked[label]
     has_masked = torch.bincount(part[masked], minlength=num_parts) >= ENOUGH_POINTS
     part, label = (values[masked | ~has_masked[part]] for values in (part, label))

@@ -142,10 +142,10 @@ def labels_so_far(segmenter: JointSegmenter, scene: Scene, names: tuple[str, ...
         a result with one level. Pixels of image segments without points are -1.
     """
     graph, config = segmenter.graph, segmenter.config
+    seen = segmenter.state.observations[:]  # a copy: frames may be added
     with torch.no_grad(), one_thread_per_operation():
         labels = label_points(segmenter.method.segment(graph, segmenter.state, config), graph)
-    of_own, seen = labels.number, segmenter.state.observations[:]  # a copy: frames may be added
-    unmasked = unmasked_labels(seen, labels.of_graph)
+        of_own, unmasked = labels.number, unmasked_labels(seen, labels.of_graph)
 
     @lru_cache(maxsize=4)
     def image(index: int) -> Tensor:

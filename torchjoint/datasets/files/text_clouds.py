@@ -24,7 +24,7 @@ SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
 #: A unit behind the name of a column: x [m], x (m); one of places that is no metre.
 _UNIT = re.compile(r"\[[^]]*\]|\([^)]*\)")
 _UNITS = rb"([cmk]|milli|centi)m\w*|(us[- ]?)?(survey )?f(ee|oo)?t|in|inch\w*|deg\w*"
-_NO_METRE = re.compile(rb"\b([xyzenh]|easting|northing|elevation|height) ?[\[(] ?(" + _UNITS + rb") ?[\])]", re.I)
+_COLUMN_UNIT = re.compile(rb"\b([xyzenh]|easting|northing|elevation|height) ?[\[(] ?(" + _UNITS + rb") ?[\])]", re.I)
 #: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.
 MOST_COLUMNS = 16
 #: The names of columns that are read of rows without names.
@@ -47,7 +47,7 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
     with damage_is(str(path)):
         data = _as_utf8(read_file(path, "a point cloud as text"))
     start, number, names, count = _preamble(data, f"{path}: not a whole {path.suffix} cloud")
-    if unit := _NO_METRE.search(data, 0, start) or NO_METRE.search(data, 0, start):
+    if unit := _COLUMN_UNIT.search(data, 0, start) or NO_METRE.search(data, 0, start):
         warnings.warn(f"{path}: {unit[0].decode('utf-8', 'replace')}: taken as metres", stacklevel=4)
     rows = _numbers(data[start:], number, path)
     if count is not None and count != len(rows):

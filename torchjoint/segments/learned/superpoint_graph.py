@@ -52,7 +52,7 @@ class MaskCounts(NamedTuple):
         """Whether most views show each region without a mask, [R] bool; argument as that of `of_regions`."""
         rows, num_regions = (self.bare, self.in_frame), int(of_superpoint.max()) + 1
         bare, in_view = (sum_by(of_superpoint[one[0]], one[-1], num_regions) for one in rows)
-        return 2 * bare > in_view  # masks may overlap
+        return 2 * bare > in_view  # not by the points in masks: these may overlap
 
 
 def masks_of_superpoints(
@@ -79,14 +79,14 @@ def masks_of_superpoints(
     tables = [one for one in parallel_map(count, range(len(observations))) if one is not None]
     if not tables:
         return None
-    num_masks = torch.tensor([len(scores) for _, _, scores, *_ in tables])
-    first = num_masks.cumsum(0) - num_masks
-    in_mask = [one[0] + torch.tensor([[0], [start], [0]]) for one, start in zip(tables, first.tolist(), strict=True)]
-    in_frame, bare = (torch.cat(rows, 1) for rows in zip(*((one[1], one[4]) for one in tables), strict=True))
-    scores = torch.cat([scores for _, _, scores, *_ in tables])
-    weight = (scores.double() / (max(scores.tolist(), default=0) or 1) * WEIGHT_UNIT).round().long()
-    frame_of_mask = torch.cat([torch.full((len(scores),), frame) for _, _, scores, frame, _ in tables])
-    return MaskCounts(torch.cat(in_mask, 1), in_frame, weight, frame_of_mask, bare)
+    in_masks, in_frame, scores, frames, bare = zip(*tables, strict=True)
+    num_masks = torch.tensor([len(of_frame) for of_frame in scores])
+    first = (num_masks.cumsum(0) - num_masks).tolist()
+    in_mask = [rows + torch.tensor([[0], [start], [0]]) for rows, start in zip(in_masks, first, strict=True)]
+    score = torch.cat(scores).double()
+    weight = (score / (max(score.tolist(), default=0) or 1) * WEIGHT_UNIT).round().long()
+    frame_of_mask = torch.tensor(frames).repeat_interleave(num_masks)
+    return MaskCounts(torch.cat(in_mask, 1), torch.cat(in_frame, 1), weight, frame_of_mask, torch.cat(bare, 1))
 
 
 def _count(
