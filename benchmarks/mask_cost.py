@@ -106,7 +106,7 @@ def merged(
     if far is not None:
         between = torch.cat([between, far], 1)
         cost = torch.cat([cost, torch.ones(far.shape[1])])
-    joined, _ = linkage.merges(of_superpoint, between, cost, threshold)
+    joined, _ = linkage.merges(of_superpoint, between, cost, torch.ones_like(between[0]), threshold)
     num_regions = int(of_superpoint.max()) + 1
     return ops.connected_components(joined, num_regions)[of_superpoint]
 
