@@ -107,7 +107,8 @@ def _read(path: Path, columns: int | str | None) -> CloudFile:
     if suffix == ".bin":
         if isinstance(columns, str):
             return cloud_of_letters(read_scan(path, len(columns), "keep").numpy(), columns)
-        return CloudFile(_read_bin(path, columns)[:, :3])
+        usual = 5 if path.name.lower().endswith(".pcd.bin") else 4
+        return CloudFile(read_scan(path, columns or usual, "keep", plausible=columns is None)[:, :3])
     with damage_is(f"{path}: not a whole {suffix} cloud", OSError):
         if suffix == ".npz":
             return _from_archive(path)
@@ -115,18 +116,6 @@ def _read(path: Path, columns: int | str | None) -> CloudFile:
             rows = read_array(path).numpy()
             return cloud_of_letters(rows, columns) if isinstance(columns, str) else cloud_of_rows(rows, str(path))
     return read_text_cloud(path, columns if isinstance(columns, str) else None)
-
-
-def _read_bin(path: Path, columns: int | None) -> Tensor:
-    """A LiDAR scan; if the number of columns was not given, it must be plausible."""
-    usual = 5 if path.name.lower().endswith(".pcd.bin") else 4
-    rows = read_scan(path, columns or usual, "keep")
-    if columns is None and (better := likelier_columns(rows)) is not None:
-        raise ValueError(
-            f"{path}: expected rows of {usual} float32, but rows of {better} are more plausible: consecutive points "
-            f"are then near each other; give the number of columns (--columns {better}, or --columns {usual})"
-        )
-    return rows
 
 
 def likelier_columns(rows: Tensor) -> int | None:
@@ -143,12 +132,16 @@ def likelier_columns(rows: Tensor) -> int | None:
     return best if steps[best] < LOWER_STEP * steps[rows.shape[1]] else None
 
 
-def read_scan(path: Path, columns: int, invalid: Invalid = "refuse") -> Tensor:
-    """Reads a LiDAR scan of KITTI or nuScenes, float32 rows x, y, z, ...; returns [N, columns]."""
+def read_scan(path: Path, columns: int, invalid: Invalid = "refuse", *, plausible: bool = False) -> Tensor:
+    """Reads a LiDAR scan, float32 rows x, y, z, ...; returns [N, columns]. `plausible`: else an error."""
     size = present(path, "a LiDAR scan").stat().st_size
     if size == 0 or size % (4 * columns):
         raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")
     rows = torch.from_numpy(np.fromfile(path, dtype="<f4").reshape(-1, columns))
+    if plausible and (better := likelier_columns(rows)) is not None:
+        told = f"{path}: expected rows of {columns} float32, but rows of {better} are more plausible: consecutive"
+        number = f"--columns {better} or --columns {columns}, of nuScenes num_pts_feats"
+        raise ValueError(f"{told} points are then near each other; give the number of columns ({number})")
     return rows[kept_points(rows[:, :3], str(path), invalid, "keep" if invalid == "keep" else "drop any")]
 
 

@@ -44,7 +44,7 @@ def scenes(path: Path) -> dict[str, Path]:
 
 def load(path: Path, options: Options) -> Scene:
     root, name = path.absolute().parent.parent, path.stem
-    points = read_scan(root / "velodyne" / f"{name}.bin", 4, options.invalid)[:, :3]
+    points = read_scan(root / "velodyne" / f"{name}.bin", 4, options.invalid, plausible=True)[:, :3]
     calibration = _read_calibration(root / "calib" / f"{name}.txt")
     projection = calibration["P2"]
     rectified_from_world = calibration["R0_rect"] @ calibration["Tr_velo_to_cam"]

@@ -41,10 +41,11 @@ def load(path: Path, options: Options) -> Scene:
     columns = lidar.number("num_pts_feats")
     if columns not in range(3, 65):
         raise ValueError(f"{lidar.name}: num_pts_feats: expected 3 to 64, got {columns:g}")
-    points = read_scan(path_inside(path, lidar.text("lidar_path"), lidar.name), int(columns), options.invalid)[:, :3]
+    file = path_inside(path, lidar.text("lidar_path"), lidar.name)
+    points = read_scan(file, int(columns), options.invalid, plausible=True)[:, :3]
     cameras = sample.record("cameras")
     shots = [_shot(path, cameras.record(name), name) for name in cameras.values]
-    no_twice((shot.color for shot in shots), f"{cameras.name}: image")
+    no_twice((str(shot.color) for shot in shots), f"{cameras.name}: image")
     frames = read_shots(shots)
     truth = Truth(_instances(sample.records("instances"), points)) if "instances" in sample else None
     return Scene(points, frames, name=path.name, truth=truth)
