@@ -24,7 +24,7 @@ from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Frame, Scene
-from torchjoint.scene.checks import as_intrinsics
+from torchjoint.scene.checks import as_float, as_intrinsics, as_tensor
 
 logger = logging.getLogger(__name__)
 
@@ -48,21 +48,22 @@ def load(path: Path, options: Options) -> Scene:
     file = path if path.name == FILE and has_file(path) else path / FILE
     arrays = _read(file)
     depth = arrays["depth"][..., 0].astype(np.float32)
-    sure = arrays["depth_conf"] >= np.quantile(arrays["depth_conf"], UNSURE)
+    sure = arrays["depth_conf"] >= np.nanquantile(arrays["depth_conf"], UNSURE)
     depth = np.where(sure & np.isfinite(depth) & (depth > 0), depth, 0)
     if not depth.any():
         raise ValueError(f"{file}: depth: expected numbers > 0, got none")
     scale = DISTANCE / float(np.median(depth[depth > 0]))
     logger.warning("%s: has no metres; its lengths times %.4g, so that the median depth is %g m", file, scale, DISTANCE)
     names = _names(file.parent / "images", len(depth))
+    exact = {name: as_tensor(arrays[name], f"{file}: {name}") for name in ("intrinsic", "extrinsic")}
+    cameras, poses = (as_float(one, f"{file}: {name}", torch.float64) for name, one in exact.items())
+    poses[..., 3] *= scale
 
     def frame(index: int) -> Frame:
-        pose = torch.from_numpy(arrays["extrinsic"][index].astype(np.float64))
-        pose[:, 3] *= scale
         return Frame(
             torch.from_numpy(arrays["images"][index].astype(np.float32)),
-            as_intrinsics(torch.from_numpy(arrays["intrinsic"][index]), f"{file}: intrinsic {index}"),
-            checked_pose(pose, f"{file}: extrinsic {index}"),
+            as_intrinsics(cameras[index], f"{file}: intrinsic {index}"),
+            checked_pose(poses[index], f"{file}: extrinsic {index}"),
             depth=torch.from_numpy(depth[index] * np.float32(scale)),
             name=names[index],
         )
