@@ -112,15 +112,16 @@ def test_the_classes_of_the_benchmarks():
         ("predicted_masks/a.txt 5 much", "line 1: expected a number as score, got 'much'"),
         ("predicted_masks/a.txt 5 nan", "expected a finite score for each of 1 masks"),
         ("predicted_masks/a.txt 5 0.5\npredicted_masks/a.txt", "line 2: expected at most 100000 masks, as"),
-        ("predicted_masks/short.txt 5 0.5", r"short\.txt: expected 0 or 1 for each of 4 points, got 2 numbers"),
-        ("predicted_masks/words.txt 5 0.5", r"words\.txt: expected 0 or 1 for each point"),
+        ("predicted_masks/few.txt 5 0.5", r"few\.txt: expected 0 or 1 for each of 4 points, got 2 numbers"),
+        ("predicted_masks/no.txt 5 0.5", r"no\.txt: expected 0 or 1 for each point"),
+        ("predicted_masks/p.txt 5 0.5", r"p\.txt: expected booleans, or numbers 0 and 1, got .* from 0 to 0\.9"),
         ("predicted_masks/long.txt 5 0.5", r"long\.txt: expected 0 or 1 for each of 4 points, got 1000 bytes"),
         ("predicted_masks/none.txt 5 0.5", r"none\.txt: missing; expected a mask"),
     ],
 )
 def test_damaged_listings(tmp_path, content, message):
     (tmp_path / "predicted_masks").mkdir()
-    for name, text in (("a", "0 1 1 0"), ("short", "0 1"), ("words", "0 x 1 0"), ("long", "0 " * 500)):
+    for name, text in (("a", "0 1 1 0"), ("few", "0 1"), ("no", "0 x 1 0"), ("long", "0 " * 500), ("p", "0.1 0 0 0.9")):
         (tmp_path / "predicted_masks" / f"{name}.txt").write_text(text)
     (tmp_path / "scene.txt").write_text(content)
     with pytest.raises((ValueError, FileNotFoundError), match=message):
@@ -132,7 +133,7 @@ def test_damaged_listings(tmp_path, content, message):
     [
         ({"pred_score": np.ones(2)}, "expected arrays pred_masks and pred_score, got pred_score"),
         ({"pred_masks": np.ones((2, 4), bool), "pred_score": np.ones(2)}, r"expected shape \[4, K\], got \[2, 4\]"),
-        ({"pred_masks": np.ones((4, 2)), "pred_score": np.ones(2)}, "expected booleans or integers, got float64"),
+        ({"pred_masks": -np.ones((4, 2)), "pred_score": np.ones(2)}, "expected booleans, or numbers 0 and 1, got"),
         ({"pred_masks": np.ones((4, 2), bool), "pred_score": np.ones(3)}, "expected a finite score for each of 2"),
     ],
 )

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.masks.arrays import as_binary
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.foreign_files import open_file, present, read_text
 
@@ -72,9 +73,8 @@ def _of_archive(path: Path, num_points: int) -> Instances:
         )
     if masks.ndim != 2 or len(masks) != num_points:
         raise ValueError(f"{path}: pred_masks: expected shape [{num_points}, K], got {list(masks.shape)}")
-    if masks.dtype.kind not in "biu":
-        raise ValueError(f"{path}: pred_masks: expected booleans or integers, got {masks.dtype}")
-    return _checked([torch.from_numpy(np.flatnonzero(mask)) for mask in masks.T], scores, str(path))
+    inside = as_binary(masks.T, f"{path}: pred_masks")
+    return _checked([mask.nonzero()[:, 0] for mask in inside], scores, str(path))
 
 
 def _of_listing(path: Path, num_points: int) -> Instances:
@@ -107,7 +107,7 @@ def _read_mask(file: Path, num_points: int) -> Tensor:
         raise ValueError(f"{file}: expected 0 or 1 for each point: {error}") from error
     if len(mask) != num_points:
         raise ValueError(f"{file}: expected 0 or 1 for each of {num_points} points, got {len(mask)} numbers")
-    return torch.from_numpy(np.flatnonzero(mask))
+    return as_binary(mask, str(file)).nonzero()[:, 0]
 
 
 def _checked(points: Sequence[Tensor], scores: npt.NDArray[np.float64], name: str) -> Instances:
