@@ -20,16 +20,19 @@ from torchjoint.cli.show import serve_until_interrupted
 from torchjoint.results.edits import Edit, read_edits
 from torchjoint.viewer.shown import Shown
 
-pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
+viser = pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
+from msgspec import msgpack  # noqa: E402 (packages that viser needs)
+from websockets.sync.client import connect  # noqa: E402
+
+from torchjoint.viewer import app  # noqa: E402
+
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 
 
 def opened(folder, port):
-    from torchjoint.viewer.app import Viewer
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return Viewer(tj.load_result(folder, edits=False), Shown(folder), port=port)
+        return app.Viewer(tj.load_result(folder, edits=False), Shown(folder), port=port)
 
 
 def test_of_two_pages_the_later_save_keeps_the_earlier_one_s(out, tmp_path):
@@ -52,8 +55,6 @@ def test_of_two_pages_the_later_save_keeps_the_earlier_one_s(out, tmp_path):
 
 
 def test_corrections_are_saved_as_they_are_made(out, tmp_path, monkeypatch):
-    from torchjoint.viewer import app
-
     folder = shutil.copytree(out, tmp_path / "out")
     viewer = opened(folder, 8990)
     count = viewer.model.parts.count
@@ -139,11 +140,9 @@ def test_a_page_of_a_damaged_image_ends_no_thread(out, tmp_path, monkeypatch):
 
 def test_a_survey_is_as_exact_as_a_room(out):
     """The page has float32: its points stood in steps of a quarter of a metre."""
-    from torchjoint.viewer.app import Viewer
-
     result = tj.load_result(out)
     points = result.scene.points.double() + torch.tensor([500_000.0, 4_000_000.0, 100.0])
-    viewer = Viewer(replace(result, scene=replace(result.scene, points=points, frames=())), port=8990)
+    viewer = app.Viewer(replace(result, scene=replace(result.scene, points=points, frames=())), port=8990)
     (part, *_), handle = viewer._cloud._parts, viewer._cloud._handles[0]
     shown = handle.points.astype(np.float64) + handle.position
     viewer.stop()
@@ -159,22 +158,28 @@ from torchjoint.viewer.app import Viewer
 image, started = Parts.image, threading.Event()
 def slow(*arguments):
     started.set()
-    time.sleep(0.2)  # the thread is at work when the program ends
+    time.sleep(1)  # the thread is at work when the program ends
     return image(*arguments)
 Parts.image = slow
 viewer = Viewer(tj.load_result(sys.argv[1], edits=False), port=8995)
 assert started.wait(60)
-print("end", flush=True)
+print(viewer.url, flush=True)
+while not viewer.server.get_clients():
+    time.sleep(0.1)
 """
+CAMERA = {"type": "ViewerCameraMessage", "wxyz": (1.0, 0, 0, 0), "position": (0, 0, 0), "fov": 1, "near": 0.1, "far": 9}
+CAMERA |= {"image_height": 9, "image_width": 9, "look_at": (0, 0, 1), "up_direction": (0, -1, 0)}
 
 
 @pytest.mark.slow
 def test_a_program_that_opened_a_page_ends(out):
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(out)], capture_output=True, text=True, timeout=300, check=False
-    )
-    assert (done.returncode, done.stdout.splitlines()[0]) == (0, "end"), done.stderr
-    assert "Traceback" not in done.stderr
+    pipes = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen([sys.executable, "-c", PROGRAM, str(out)], text=True, **pipes) as program:
+        url = program.stdout.readline().strip().replace("http", "ws")
+        with connect(url, subprotocols=[f"viser-v{viser.__version__}"], max_size=None, max_queue=None) as page:
+            page.send(msgpack.encode(CAMERA))
+            _, told = program.communicate(timeout=300)
+    assert (program.returncode, "Traceback" in told) == (0, False), told
 
 
 def test_a_click_at_the_edge_of_the_photo_stays_at_that_edge(out, monkeypatch):
@@ -294,11 +299,9 @@ def test_what_is_not_kept_is_told_when_the_page_ends(out, tmp_path, monkeypatch,
 
 
 def test_without_images_there_are_no_masks_to_export(out):
-    from torchjoint.viewer.app import Viewer
-
     for scene, kinds in ((whole := tj.load_result(out).scene, 3), (tj.Scene(whole.points), 1)):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            viewer = Viewer(tj.Result.of(tj.JointSegmenter()(scene), scene), port=8990)
+            viewer = app.Viewer(tj.Result.of(tj.JointSegmenter()(scene), scene), port=8990)
         assert viewer._panel.export.options == ("PLY", "PNG", "COCO")[:kinds]
         viewer.stop()

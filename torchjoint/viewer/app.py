@@ -66,8 +66,8 @@ class Viewer:
         self._order, self._can_save, self._has_stopped = "points", True, False
         self._made = self._saved.steps  # the corrections after the last action
         self._workers: list[threading.Thread] = []
-        _at_end(weakref.WeakMethod(self._end_work))
         self.server, self._distance, self.url = start_server(result.scene, self.model.up, host, port)
+        _at_end(weakref.WeakMethod(self.stop))  # later, viser fails to tell that the pages have left
         self._eyes = Eyes(self.server, self.model.up, self._distance)
         on_open(self.url)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
