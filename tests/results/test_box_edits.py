@@ -557,7 +557,7 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     run("edits", "import", out, table)
     assert "0 names changed" in capsys.readouterr().out
     rows = list(csv.DictReader(before.decode().splitlines()))
-    rows[0]["name"], rows[2]["name"] = "house, old", "-5 garage"
+    rows[0]["name"], rows[2]["name"] = "house;-1, old", "-5 garage"
 
     def write(rows):
         with table.open("w", encoding="utf-8-sig", newline="") as file:
@@ -567,7 +567,7 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
 
     write([rows[2], rows[0]])
     run("edits", "import", out, table)
-    assert tj.load_result(out).segment_names == {0: "house, old", 2: "-5 garage"}
+    assert tj.load_result(out).segment_names == {0: "house;-1, old", 2: "-5 garage"}
     table.unlink()
     run("export", out, "--format", "csv", "-o", table)  # "-5 garage" got an apostrophe, which is no change
     edits = (out / "edits.json").read_bytes()
@@ -576,11 +576,11 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     write([rows[0] | {"name": "", "points": "3"}, rows[2] | {"name": "-5_garage"}])  # an old table of one more name
     with pytest.warns(UserWarning, match="1 empty names change nothing"):
         run("edits", "import", out, table)
-    assert tj.load_result(out).segment_names == {0: "house, old", 2: "-5_garage"}
+    assert tj.load_result(out).segment_names == {0: "house;-1, old", 2: "-5_garage"}
     write([rows[0], rows[2] | {"name": ""}])  # a table from before that name
     with pytest.warns(UserWarning, match=r"names\.csv: 1 empty names change nothing; the viewer removes names"):
         run("edits", "import", out, table)
-    assert tj.load_result(out).segment_names == {0: "house, old", 2: "-5_garage"}
+    assert tj.load_result(out).segment_names == {0: "house;-1, old", 2: "-5_garage"}
     write([rows[2] | {"name": "shed", "id": "2.0", "points": rows[2]["points"] + ".0"}])  # of pandas
     run("edits", "import", out, table)
     assert tj.load_result(out).segment_names[2] == "shed"

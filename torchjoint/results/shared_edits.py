@@ -21,7 +21,7 @@ from torchjoint.results.edits import FILE, Edit, Edits, Table, read_edits, write
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import damage_is, dict_of, read_text
+from torchjoint.runtime.foreign_files import damage_is, dict_of, no_formula, read_text
 from torchjoint.runtime.groups import best_of_groups, each_once
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.outputs import lock
@@ -180,7 +180,7 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
         for row in table:
             segment, points = (_count(row[column] or "") for column in ("id", "points"))
             name = printable((row["name"] or "").strip()).removeprefix("'")  # csv_text's, before what would be computed
-            if name in ("", result.segment_names.get(segment, "").removeprefix("'")):
+            if name in ("", no_formula(result.segment_names.get(segment, "")).strip().removeprefix("'")):
                 emptied += not name and segment in result.segment_names
                 continue
             told = f"line {table.line_num}: {name!r}: segment {(row['id'] or '')[:20]}"

@@ -170,17 +170,17 @@ def no_twice(names: Iterable[object], what: str) -> None:
 
 #: Where a spreadsheet would find something to compute: at the start of a cell, also of those that it makes if it takes
 #: semicolons or tabs for the ends of cells.
-_FORMULA = re.compile(r'(^|(?<=[;\t\r\n"]))(?=[=+\-@\t\r])')
+_FORMULA = re.compile(r'(^|(?<=[;\t\r\n"]))(?=[=+\-@＝＋－＠\t\r])')
+
+
+def no_formula(text: str) -> str:
+    """A text with apostrophes before what a spreadsheet would compute: names come from others."""
+    return _FORMULA.sub("'", text).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Rows as text. A text that a spreadsheet would compute gets apostrophes: names come from others."""
+    """Rows as text, without formulas."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(
-        [
-            _FORMULA.sub("'", cell).replace("\r\n", "\n").replace("\r", "\n") if isinstance(cell, str) else cell
-            for cell in row
-        ]
-        for row in rows
-    )  # csv puts no quotes around a lone "\r", which ends a row
+    cells = ([no_formula(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+    csv.writer(text, lineterminator="\n").writerows(cells)  # csv puts no quotes around a lone "\r", which ends a row
     return text.getvalue()

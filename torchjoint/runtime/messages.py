@@ -11,7 +11,7 @@ from threading import Lock
 #: Parts of the messages of torch, and of the system's loader of libraries.
 _OUT_OF_MEMORY = ("not enough memory", "can't allocate memory", "bad_alloc", "failed to map segment")
 #: Characters that move the cursor, begin an escape sequence, or turn the direction of writing; not tab and line break.
-_CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+_CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 #: Is called with each share of step 6 that is done, for a bar; a method need not call it.
 advance: ContextVar[Callable[[float], object]] = ContextVar("torchjoint_advance", default=lambda share: None)
 
