@@ -159,7 +159,7 @@ def test_labels_there_and_back():
     [
         ({"labels": [1]}, TypeError, "labels: expected a torch.Tensor, got list"),
         ({"labels": torch.zeros(7)}, ValueError, "labels: expected one for each of 300 from_points, got [7]"),
-        ({"labels": torch.zeros(300).bool()}, TypeError, "labels: expected a dtype that has -1"),
+        ({"labels": torch.zeros(300).to(torch.uint16)}, TypeError, "labels: expected a dtype that has -1"),
         ({"from_points": cloud(0)[:0]}, ValueError, "from_points: expected at least one point"),
         ({"to_points": cloud(0)[:, :2]}, ValueError, "to_points: expected shape [N, 3], got [300, 2]"),
         ({"max_distance": -1.0}, ValueError, "max_distance: expected a number >= 0 or None, got -1.0"),

@@ -134,7 +134,7 @@ def transfer_labels(
         raise ValueError(f"labels: expected one for each of {len(source)} from_points, got {list(labels.shape)}")
     if max_distance is not None and not (math.isfinite(max_distance) and max_distance >= 0):
         raise ValueError(f"max_distance: expected a number >= 0 or None, got {max_distance}")
-    if max_distance is not None and labels.dtype in (torch.bool, torch.uint8):
+    if max_distance is not None and not labels.dtype.is_signed:
         raise TypeError(f"labels: expected a dtype that has -1 (max_distance is given), got {labels.dtype}")
     index, distance = _nearest(source, target)
     result = labels[torch.from_numpy(index)]

@@ -57,6 +57,8 @@ def test_a_frame_scales_masks_of_another_size() -> None:
     assert torch.equal(pass_through.masks.labels(), expected)
     with pytest.warns(UserWarning, match="0 counts as a mask, and no pixel is -1"):
         frame(masks=torch.zeros(4, 6, dtype=torch.int64))
+    with pytest.warns(UserWarning, match="65535 is a label; if it was -1"):
+        frame(labels=torch.arange(-1, 23).view(4, 6).to(torch.uint16))
     with pytest.warns(UserWarning, match="other aspect ratio"):
         frame(masks=torch.ones(1, 6, 4, dtype=torch.bool))
 

@@ -145,7 +145,9 @@ def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Te
     if labels.dtype == torch.uint8 and (values := labels.unique().tolist())[:1] == [0] and len(values) == 2:
         told = f"{name}: got only 0 and {values[1]}, as in the image of a mask"
         raise ValueError(f"{told}; its background would be a segment: pass `mask > 0`, or int64 labels (-1 = none)")
-    labels = labels.to(torch.int64)
+    largest, labels = torch.iinfo(labels.dtype).max, labels.to(torch.int64)
+    if largest in (255, 65535, 2**32 - 1) and labels.numel() and int(labels.max()) == largest:
+        warnings.warn(f"{name}: {largest} is a label; if it was -1 (none), give integers with a sign", stacklevel=4)
     if labels.numel() and int(labels.min()) < -1:
         raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {int(labels.min())}")
     return labels
@@ -166,8 +168,7 @@ def as_image(image: Tensor, name: str) -> Tensor:
     """Checks an image: [3, H, W], or grey [1, H, W] or [H, W]; returns it as [3, H, W] float32 RGB in [0, 1]."""
     if not isinstance(image, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(image).__name__}")
-    if image.ndim == 2:
-        image = image[None]
+    image = image[None] if image.ndim == 2 else image
     if image.ndim != 3 or image.shape[0] not in (1, 3):
         raise ValueError(f"{name}: expected shape [3, H, W] (or grey: [1, H, W], [H, W]), got {list(image.shape)}")
     if image.numel() == 0:

@@ -261,8 +261,7 @@ def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None
     if masks.ndim == 3 and masks.shape[:2] == size and masks.shape[1:] != size:
         raise ValueError(f"{name}: expected [M, H, W], got [H, W, M]? {list(masks.shape)} in an image of {list(size)}")
     if masks.dtype == torch.bool:
-        stack = masks[None] if masks.ndim == 2 else masks
-        return Masks.from_stack(stack, scores, name).resized(size)
+        return Masks.from_stack(masks[None] if masks.ndim == 2 else masks, scores, name).resized(size)
     if masks.ndim == 3:
         raise TypeError(f"{name}: expected dtype bool for a stack [M, H, W], got {masks.dtype}; use `stack > 0.5`?")
     masks = as_labels(masks, tuple(masks.shape), name)
