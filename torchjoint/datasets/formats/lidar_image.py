@@ -62,7 +62,7 @@ def _read_camera(path: Path) -> Camera:
         raise ValueError(f"{path}: distortion_model: expected one of {', '.join(_LENSES)}, got {model!r}")
     size = round(record.number("height", 0)), round(record.number("width", 0))
     K = record.numbers("K", 9).view(3, 3)
-    return Camera(K, size if all(size) else None, lens, str(path), fisheye=model == "equidistant")
+    return Camera(K, size if any(size) else None, lens, str(path), fisheye=model == "equidistant")
 
 
 def _read_pose(path: Path) -> Tensor:
