@@ -283,8 +283,10 @@ def test_a_file_that_was_moved_is_told():
     result = result_of(points, torch.arange(400))
     order = torch.randperm(400)
     assert torch.equal(nearest_labels(result, points[order] + 0.25), order)
-    with pytest.warns(UserWarning, match="farther than 2 m, whose neighbours are 1 m apart; was the file moved"):
-        nearest_labels(result, points + torch.tensor([0.0, 0, 2]))
+    turned = points @ torch.tensor([[0.96, 0, 0.28], [0, 1, 0], [-0.28, 0, 0.96]])
+    for moved in (points + torch.tensor([0.0, 0, 2]), turned, turned[1:]):
+        with pytest.warns(UserWarning, match="whose points are 1 m apart; was it moved"):
+            nearest_labels(result, moved)
 
 
 def test_a_file_with_nothing_within_reach_is_an_error():
@@ -332,7 +334,7 @@ def test_a_cloud_that_was_mirrored_is_told(scene_of):
     scene = scene_of(3).scene
     result = result_of(scene.points, torch.zeros(len(scene.points), dtype=torch.int64))
     axis, box = torch.tensor([1.0, 0, 0]), scene.points.amin(0) + scene.points.amax(0)
-    with pytest.warns(UserWarning, match="was the file moved"):
+    with pytest.warns(UserWarning, match="was it moved"):
         nearest_labels(result, scene.points * (1 - 2 * axis) + axis * box)
     nearest_labels(result, scene.points.flip(0) + 1e-4)  # without a warning
 
@@ -340,7 +342,7 @@ def test_a_cloud_that_was_mirrored_is_told(scene_of):
 def test_a_file_of_more_than_was_segmented_is_told():
     points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
     more = torch.cat([points, points[:300] + 500])
-    with pytest.warns(UserWarning, match="300 of 700 vertices are farther than 4 m from the result; they have the"):
+    with pytest.warns(UserWarning, match="300 of 700 vertices are farther than 4 m from the result, whose"):
         found = nearest_labels(result_of(points, torch.arange(400)), more)
     assert torch.equal(found[:400], torch.arange(400))
 
@@ -349,7 +351,7 @@ def test_a_file_of_more_than_was_segmented_is_told():
 def test_a_mesh_that_was_moved_is_told_once(tmp_path, suffix):
     points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
     write_cloud(tmp_path / "a.ply", points + torch.tensor([0.0, 0, 2]), faces=torch.tensor([[0, 1, 20], [1, 20, 21]]))
-    with pytest.warns(UserWarning, match="was the file moved") as told:
+    with pytest.warns(UserWarning, match="was it moved") as told:
         label_file(tmp_path / "a.ply", tmp_path / f"b{suffix}", result_of(points, torch.arange(400)))
     assert len(told) == 1
 

@@ -110,10 +110,10 @@ def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> 
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
 FAR = 0.25
-#: If they are farther than so many times the distance between neighbours of the result, it may have moved.
+#: Vertices farther than so many times the distance between neighbours of the result may have moved.
 AWAY = 4
-#: Vertices farther than this share of the diagonal were not segmented; a share of more than LOST is told.
-ALONE, LOST = 0.05, 0.05
+#: Vertices farther than this share of the diagonal were not segmented.
+ALONE = 0.05
 
 
 def nearest_labels(result: Result, points: Tensor) -> Tensor:
@@ -146,16 +146,15 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
     spacing = np.median(tree.query(tree.data[:: len(own) // 2000 + 1], 2)[0][:, 1])  # 0: most points are copies
     diagonal = float((own.double().amax(0) - own.double().amin(0)).norm())
     middle = np.median(distance) if len(distance) else np.inf  # no vertex is finite
-    told = f"expected vertices near the result's points, got half of them farther than {middle:.3g} m"
-    lost = int((distance > (limit := max(AWAY * spacing, ALONE * diagonal))).sum())
-    if middle > FAR * diagonal or lost == len(distance):
+    near = AWAY * spacing / (2 if len(points) == len(own) else 1)  # as many: then it is the same cloud
+    if middle > FAR * diagonal or bool((distance > max(AWAY * spacing, ALONE * diagonal)).all()):
+        told = f"expected vertices near the result's points, got half of them farther than {middle:.3g} m"
         raise ValueError(f"{told}; is the file of another place, or in another frame?")
-    away = 1 if len(points) == len(own) else AWAY  # as many: then it is the same cloud, whose points lie on each other
-    if 0 < away * spacing < middle:
-        warnings.warn(f"{told}, whose neighbours are {spacing:.2g} m apart; was the file moved?", stacklevel=3)
-    elif lost > LOST * len(distance):
-        told = f"{lost} of {len(points)} vertices are farther than {limit:.3g} m from the result"
-        warnings.warn(f"{told}; they have the label of its nearest point all the same", stacklevel=3)
+    for limit, share in ((near / 2, 0.5), (near, 0.1), (max(near, ALONE * diagonal), 0.05)):
+        if limit > 0 and (lost := int((distance > limit).sum())) > share * len(distance):
+            far = f"{lost} of {len(points)} vertices are farther than {limit:.3g} m from the result, whose points"
+            warnings.warn(f"{far} are {spacing:.2g} m apart; was it moved, or a part segmented?", stacklevel=3)
+            break
     return torch.full((len(points),), -1).masked_scatter(finite, torch.from_numpy(index))
 
 
