@@ -146,6 +146,14 @@ def test_a_mesh_has_labels_of_vertices_and_triangles(tmp_path, encoding):
     assert not (tmp_path / "c.ply").exists()
 
 
+def test_faces_of_several_lengths_have_no_labels(tmp_path):
+    """An edge and a quad: as many triangles as faces."""
+    path = squares(tmp_path / "a.ply", "ascii")
+    path.write_text(path.read_text().replace("\n3 0 1 2\n3 1 3 2\n", "\n2 0 1\n4 0 1 3 2\n"))
+    label_file(path, tmp_path / "b.ply", of_squares())
+    assert (tmp_path / "b.ply").read_text().endswith("\n2 0 1\n4 0 1 3 2\n3 4 5 6\n3 5 7 6\n")
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
 def test_line_ends_and_comments_stay(tmp_path, encoding):
     """As Windows writes them: without the label, the file is the one before. No warning tells of columns that stay."""
