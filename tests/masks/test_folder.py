@@ -54,7 +54,7 @@ def test_frames_of_every_data_set_get_the_masks_of_their_name(tmp_path, name):
 
 def test_each_kind_of_file(tmp_path):
     write_labels(tmp_path / "a.png")
-    write_labels(tmp_path / "b" / "0.png", value=255)
+    write_labels(tmp_path / "b" / "7.PNG", value=255)
     stack = torch.zeros(2, *SIZE, dtype=torch.bool)
     tj.masks.save_masks(tmp_path / "c.npz", tj.masks.from_stack(stack))
     record = {"segmentation": {"size": SIZE, "counts": [48]}}
@@ -64,6 +64,7 @@ def test_each_kind_of_file(tmp_path):
     (tmp_path / ".hidden").mkdir()
     masked = tj.masks.read_folder(tmp_path, scene_of(*"abcde"))
     assert [len(frame.masks) for frame in masked.frames] == [1, 1, 2, 3, 1]
+    assert masked.frames[1].masks.ids == (7,)
 
 
 def test_names_in_an_archive_of_ones_own(tmp_path):
