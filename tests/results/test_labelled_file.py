@@ -235,8 +235,8 @@ def test_a_mesh_of_a_survey_is_as_exact_in_a_glb(tmp_path):
     rows = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in places.tolist()]
     faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES.tolist()]
     (tmp_path / "a.obj").write_text("\n".join([*rows, *faces]))
-    label_file(tmp_path / "a.obj", tmp_path / "b.glb", result_of(places, torch.zeros(len(places), dtype=torch.int64)))
-    found = meshes.read_mesh_file(tmp_path / "b.glb").points
+    label_file(tmp_path / "a.obj", tmp_path / "b.GLB", result_of(places, torch.zeros(len(places), dtype=torch.int64)))
+    found = meshes.read_mesh_file(tmp_path / "b.GLB").points
     assert (torch.cdist(places, found.double()).amin(1) < 1e-3).all()
 
 

@@ -77,7 +77,8 @@ def test_the_ids_of_a_file_are_shown(tmp_path):
     """They were numbered anew: after corrections, or with points without a label, 5 was shown as 2."""
     labels = np.repeat([5, -1, 2], 20)
     np.savez(tmp_path / "a.npz", points=np.random.default_rng(0).random((60, 3)), labels=labels)
-    assert read_labelled_cloud(tmp_path / "a.npz").points.tolist() == np.where(labels < 0, 6, labels).tolist()
+    file = (tmp_path / "a.npz").rename(tmp_path / "A.NPZ")
+    assert read_labelled_cloud(file).points.tolist() == np.where(labels < 0, 6, labels).tolist()
 
 
 @pytest.mark.parametrize(

@@ -215,7 +215,7 @@ def _label_mesh(source: Path, out: Path, result: Result, name: str) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it has been told of the vertices
             of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
-        if out.suffix == ".glb":
+        if out.suffix.lower() == ".glb":
             _write_glb(out, mesh, of_face, result)
             return
         records, labels = _records(source, mesh), {"vertex": of_vertex.numpy()}

@@ -92,7 +92,7 @@ def _shot(file: Path, frame: Record) -> tuple[Path, Shot]:
 
 
 def _read_depth(path: Path, unit: float | None) -> Tensor:
-    if path.suffix != ".npy":
+    if path.suffix.lower() != ".npy":
         return read_depth(path, 0.001 if unit is None else unit)
     values = read_array(path)
     if values.ndim == 3 and values.shape[2] == 1:
