@@ -162,7 +162,7 @@ def _label_text(source: Path, out: Path, result: Result, name: str) -> None:
     points = _read(source).points
     with damage_is(str(source)):
         nearest = nearest_labels(result, points)
-    write_bytes(out, text_clouds.with_column(source, name, nearest.tolist()))
+    write_bytes(out, text_clouds.with_column(source, name, nearest.tolist(), out))
 
 
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:

@@ -131,8 +131,7 @@ def read_camera(frame: Record, color: Path) -> Camera:
 
 def _focal_lengths(frame: Record, size: tuple[int, int]) -> tuple[float, float]:
     if "fl_x" in frame:
-        fl_x = frame.number("fl_x")
-        return fl_x, frame.number("fl_y", fl_x)
+        return frame.number("fl_x"), frame.number("fl_y", frame.number("fl_x"))
     if "camera_angle_x" not in frame:
         raise ValueError(f"{frame.name}: expected fl_x or camera_angle_x, got neither")
     fl_x = _focal_length(frame, "camera_angle_x", size[1])
