@@ -423,6 +423,23 @@ class TestSurvey:
             label_file(tmp_path / "own.laz", tmp_path / "out.laz", tj.load_result(survey[1]))
         assert laspy.read(tmp_path / "out.laz")["Deviation"].all()
 
+    @pytest.mark.parametrize("suffix", [".las", ".laz"])
+    def test_waveforms_are_found(self, tmp_path, suffix):
+        """Their record lies behind the points, and the header tells at which byte."""
+        cloud, one = (
+            laspy.LasData(laspy.LasHeader(point_format=9, version="1.4")),
+            laspy.VLR("LASF_Spec", 65535, "", b"w"),
+        )
+        cloud.x = cloud.y = cloud.z = np.arange(50.0)
+        cloud.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("other", 7, "", bytes(9)), one])
+        cloud.write(tmp_path / "a.las")
+        data = bytearray((tmp_path / "a.las").read_bytes())
+        data[227:235] = (data.rindex(b"LASF_Spec") - 2).to_bytes(8, "little")
+        (tmp_path / "a.las").write_bytes(data)
+        write_labelled(tmp_path / "a.las", tmp_path / f"b{suffix}", {"label": np.arange(50)})
+        made = (tmp_path / f"b{suffix}").read_bytes()
+        assert made[int.from_bytes(made[227:235], "little") + 2 :].startswith(b"LASF_Spec")
+
     def test_a_wrong_name_leads_to_the_cloud(self, survey, run, tmp_path):
         with pytest.raises(SystemExit, match=r"sit\.laz does not exist; the cloud of this result is .*points\.ply"):
             run("label", survey[1], "sit.laz", "-o", tmp_path / "out.laz")

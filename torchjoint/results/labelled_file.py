@@ -82,9 +82,11 @@ def write_labelled(
                 writer.write_points(record)
                 done += len(chunk)
                 progress(len(chunk))
-            extended = [record for record in reader.evlrs or () if type(record).__name__ not in _STORAGE]
-            if extended:
+            if extended := [record for record in reader.evlrs or () if type(record).__name__ not in _STORAGE]:
                 writer.write_evlrs(laspy.vlrs.vlrlist.VLRList(extended))
+            if waves := reader.header.start_of_waveform_data_packet_record:  # one of these records; LAS 1.3 has none
+                moved = writer.header.start_of_first_evlr - reader.header.start_of_first_evlr
+                writer.header.start_of_waveform_data_packet_record = waves + moved if extended else 0
     return done
 
 
