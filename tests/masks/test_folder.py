@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -80,6 +81,8 @@ def test_names_in_an_archive_of_ones_own(tmp_path):
         assert tj.masks.read_masks(tmp_path / "zero.npz").covered().sum() == 2
     assert len(tj.masks.from_labels(torch.from_numpy(unsigned))) == 2
     np.savez(tmp_path / "few.npz", masks=stack, names=["cup"])
+    with pytest.raises(ValueError, match="ids: expected integers of 64 bits, got 'P0'"):
+        replace(tj.masks.read_masks(tmp_path / "stack.npz"), ids=(1, "P0"))
     with pytest.raises(ValueError, match=r"few.npz.*names: expected one for each of 2 masks, got 1"):
         tj.masks.read_masks(tmp_path / "few.npz")
 
