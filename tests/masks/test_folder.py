@@ -58,8 +58,7 @@ def test_each_kind_of_file(tmp_path):
     write_labels(tmp_path / "b" / "7.PNG", value=255)
     stack = torch.zeros(2, *SIZE, dtype=torch.bool)
     tj.masks.save_masks(tmp_path / "c.npz", tj.masks.from_stack(stack))
-    record = {"segmentation": {"size": SIZE, "counts": [48]}}
-    (tmp_path / "d.json").write_text(json.dumps([record] * 3))
+    (tmp_path / "d.json").write_text(json.dumps([{"segmentation": {"size": SIZE, "counts": [48]}}] * 3))
     write_labels(tmp_path / "e.masks.png")
     (tmp_path / "README.md").write_text("none")
     (tmp_path / ".hidden").mkdir()
@@ -297,8 +296,7 @@ def test_masks_are_read_with_their_frame(tmp_path):
 
 def test_names_of_lazy_frames_are_known_without_reading():
     frames = LazySequence(3, lambda _: pytest.fail("read a frame"), ["a", "b", "c"])
-    scene = tj.Scene(torch.rand(5, 3), frames)
-    assert frame_names(scene.select_frames([2, 0]).frames) == ["c", "a"]
+    assert frame_names(tj.Scene(torch.rand(5, 3), frames).select_frames([2, 0]).frames) == ["c", "a"]
 
 
 class TestCommand:

@@ -26,8 +26,7 @@ from torchjoint.results.labelled_file import label_file, nearest_labels, part_fi
 
 
 def result_of(points, labels, colors=None):
-    scene = tj.Scene(points, colors=colors)
-    return tj.Result.of(tj.Segmentation(labels, ()), scene)
+    return tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(points, colors=colors))
 
 
 @pytest.fixture
@@ -236,8 +235,7 @@ def test_a_mesh_of_a_survey_is_as_exact_in_a_glb(tmp_path):
     faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES.tolist()]
     (tmp_path / "a.obj").write_text("\n".join([*rows, *faces]))
     label_file(tmp_path / "a.obj", tmp_path / "b.GLB", result_of(places, torch.zeros(len(places), dtype=torch.int64)))
-    found = meshes.read_mesh_file(tmp_path / "b.GLB").points
-    assert (torch.cdist(places, found.double()).amin(1) < 1e-3).all()
+    assert (torch.cdist(places, meshes.read_mesh_file(tmp_path / "b.GLB").points.double()).amin(1) < 1e-3).all()
 
 
 def test_points_on_a_mesh_are_even_and_in_its_colours():

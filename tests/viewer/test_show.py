@@ -51,8 +51,7 @@ def test_superpoints_can_be_shown(run, scene_of, tmp_path, suffix):
     np.savez(tmp_path / "cloud.npz", points=cloud.points.numpy(), colors=cloud.colors.numpy())
     out = tmp_path / f"out{suffix}"
     run("superpoints", tmp_path / "cloud.npz", "-o", out, "--no-picture")
-    result = read_labelled_cloud(out)
-    assert torch.equal(result.points, tj.superpoints(cloud.points, cloud.colors))
+    assert torch.equal(read_labelled_cloud(out).points, tj.superpoints(cloud.points, cloud.colors))
     run("show", out, "--static", tmp_path / "page.html")
     with pytest.raises(ValueError, match=r"cloud\.npz: expected .* got no labels"):
         read_labelled_cloud(tmp_path / "cloud.npz")

@@ -156,8 +156,7 @@ def test_an_obj_of_an_old_mac(tmp_path):
 
 @pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "1/1 0/1 2/1"])
 def test_faces_that_count_from_0(tmp_path, face):
-    text = f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\nf {face}\n"
-    (tmp_path / "a.obj").write_text(text)
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\nf {face}\n")
     with pytest.raises(
         ValueError, match=r"a\.obj: not a whole \.obj mesh: .*expected faces of vertices from 1 on, got 0"
     ):

@@ -162,8 +162,7 @@ class TestIntrinsics:
         torch.testing.assert_close(tj.load_scene(folder).frames[0].intrinsics, expected)
 
     def test_resized_images(self, folder):
-        values = read(folder)
-        save(folder, values | {"w": 320, "h": 240, "fl_x": 200, "fl_y": 200, "cx": 160, "cy": 120})
+        save(folder, read(folder) | {"w": 320, "h": 240, "fl_x": 200, "fl_y": 200, "cx": 160, "cy": 120})
         expected = torch.tensor([[100, 0, 79.5], [0, 100, 59.5], [0, 0, 1]], dtype=torch.float64)
         torch.testing.assert_close(tj.load_scene(folder).frames[0].intrinsics, expected)
 
@@ -216,8 +215,7 @@ class TestDepth:
         values = np.ones((60, 80), dtype=np.float32)
         values[0, :3] = [np.nan, np.inf, -1]
         np.save(folder / "0.npy", values)
-        depth = self.load(folder, "0.npy")
-        assert depth[:2, :8].tolist() == [[0, 0, 0, 0, 0, 0, 1, 1]] * 2
+        assert self.load(folder, "0.npy")[:2, :8].tolist() == [[0, 0, 0, 0, 0, 0, 1, 1]] * 2
 
     def test_the_largest_integer_is_unknown_as_in_an_image(self, folder):
         np.save(folder / "0.npy", np.where(np.arange(160) < 80, 65535, 2000).astype(np.uint16)[None].repeat(120, 0))
