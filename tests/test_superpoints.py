@@ -159,8 +159,7 @@ def test_a_viewpoint_makes_convex_edges_cheap():
     unsigned = tj.superpoints(seen)
     signed = tj.superpoints(seen, viewpoint=sensor)
     assert len(signed.unique()) < len(unsigned.unique())
-    per_point = sensor.repeat(len(seen), 1)
-    assert torch.equal(signed, tj.superpoints(seen, viewpoint=per_point))
+    assert torch.equal(signed, tj.superpoints(seen, viewpoint=sensor.repeat(len(seen), 1)))
     assert torch.equal(signed, tj.superpoints(seen, viewpoint=sensor.repeat(1, 1)))
 
 

@@ -148,8 +148,7 @@ def test_labels_there_and_back():
     points = cloud(3)
     labels = tj.superpoints(points)
     sample = points[::3]
-    carried = transfer_labels(labels, points, sample, max_distance=0.0)
-    assert torch.equal(carried, labels[::3])
+    assert torch.equal(transfer_labels(labels, points, sample, max_distance=0.0), labels[::3])
     features = torch.rand(len(points), 4)
     assert torch.equal(transfer_labels(features, points, sample), features[::3])
 

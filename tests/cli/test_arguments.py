@@ -153,6 +153,7 @@ def test_labelcloud_reads_names_and_format_beside_the_boxes(run, result, tmp_pat
     (tmp_path / "_classes.json").write_text("mine")
     run("export", result, "--format", "labelcloud", "-o", tmp_path / "boxes.json", "--overwrite")
     assert (tmp_path / "_classes.json").read_text() == "mine"
+    assert "_classes.json: was there, and stays" in capsys.readouterr().out
 
 
 def test_a_page_may_lie_in_its_result(run, result):

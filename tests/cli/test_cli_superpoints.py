@@ -286,8 +286,7 @@ def turning(count=2000):
 class TestScans:
     def test_those_of_nuscenes_have_five_columns(self, tmp_path):
         turning().tofile(tmp_path / "LIDAR_TOP.pcd.bin")
-        read = read_cloud_file(tmp_path / "LIDAR_TOP.pcd.bin")
-        np.testing.assert_array_equal(read.points, turning()[:, :3])
+        np.testing.assert_array_equal(read_cloud_file(tmp_path / "LIDAR_TOP.pcd.bin").points, turning()[:, :3])
 
     def test_columns_that_are_not_plausible(self, tmp_path, run):
         turning().tofile(tmp_path / "scan.bin")  # would be 2500 points of KITTI

@@ -52,8 +52,7 @@ def test_undirected_edges_are_the_symmetrised_graph_once(num_points, count, seed
     generator = np.random.default_rng(seed)
     count = min(count, num_points - 1)
     rows = [generator.permutation(np.delete(np.arange(num_points), i))[:count] for i in range(num_points)]
-    neighbors = torch.from_numpy(np.stack(rows))
-    edges = undirected_edges(neighbors)
+    edges = undirected_edges(torch.from_numpy(np.stack(rows)))
     expected = {(min(i, j), max(i, j)) for i in range(num_points) for j in rows[i].tolist()}
     assert (edges[0] < edges[1]).all()
     assert edges.shape[1] == len(expected)
@@ -76,8 +75,7 @@ def test_neighbors_that_reach_across_beams():
     # No point is its own neighbour, none comes twice, and they come nearest first.
     assert (far != torch.arange(len(points))[:, None]).all()
     assert (far.sort(dim=1).values.diff(dim=1) > 0).all()
-    distance = (points[far] - points[:, None]).norm(dim=2)
-    assert (distance.diff(dim=1) >= -1e-6).all()
+    assert ((points[far] - points[:, None]).norm(dim=2).diff(dim=1) >= -1e-6).all()
     # Where they reached far enough at first, nothing has changed.
     assert torch.equal(nearest_neighbors(points, 8, reach=0.03).indices.long(), nearest)
 

@@ -50,8 +50,7 @@ def test_a_dense_cloud_is_thinned(monkeypatch):
     assert 300 <= len(working.points) < 0.6 * len(cloud.points)
     assert of_point is not None
     assert torch.equal(of_point.unique(), torch.arange(len(working.points)))
-    before = measure_scales(cloud.points)
-    assert scales.spacing.median() > 1.2 * before.spacing.median()
+    assert scales.spacing.median() > 1.2 * measure_scales(cloud.points).spacing.median()
     assert working.points[:, 2].std() < cloud.points[:, 2].std()  # means are more exact
 
 
@@ -79,8 +78,7 @@ def test_every_given_point_gets_the_label_of_its_working_point(monkeypatch, scen
     label = torch.full((segmenter.graph.num_points,), -1)
     label[of_point] = result.points
     assert torch.equal(label[of_point], result.points)
-    first = torch.unique(result.points, return_inverse=True)[1]
-    assert torch.equal(first, result.points)
+    assert torch.equal(torch.unique(result.points, return_inverse=True)[1], result.points)
     assert len(result.at(1.0).points) == len(noisy.points)
     assert torch.equal(segmenter.compute(images=False, config=tj.Config()).points, result.points)
 
@@ -89,5 +87,4 @@ def test_a_cloud_with_more_cells_than_numbers_is_not_thinned(monkeypatch):
     monkeypatch.setattr(module, "LEAST_POINTS", 300)
     far = torch.cat([sheet(0.003), torch.tensor([[1e4, 1e4, 1e4]])])
     assert working_cloud(Scene(far)).of_point is not None  # about 5e5 cells a side
-    farther = torch.cat([sheet(0.003), torch.tensor([[1e6, 1e6, 1e6]])])
-    assert working_cloud(Scene(farther)).of_point is None
+    assert working_cloud(Scene(torch.cat([sheet(0.003), torch.tensor([[1e6, 1e6, 1e6]])]))).of_point is None

@@ -50,8 +50,7 @@ def test_superpoints_and_labels():
         labels = tj.superpoints(torch.from_numpy(SCAN), min_size=5)
     assert (labels[~RETURNED] == -1).all()
     assert torch.equal(labels[RETURNED], tj.superpoints(torch.from_numpy(POINTS), min_size=5))
-    scene = tj.Scene(torch.from_numpy(POINTS))
-    result = tj.Result.of(tj.Segmentation(labels[RETURNED], ()), scene)
+    result = tj.Result.of(tj.Segmentation(labels[RETURNED], ()), tj.Scene(torch.from_numpy(POINTS)))
     assert torch.equal(nearest_labels(result, torch.from_numpy(SCAN)), labels)
 
 

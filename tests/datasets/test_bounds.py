@@ -140,8 +140,7 @@ class TestLittleMemory:
         counts = [[10 * index, 7, side * side - 10 * index - 7] for index in range(60)]
         records = [{"segmentation": {"size": [side, side], "counts": one}} for one in counts]
         (tmp_path / "a.json").write_text(json.dumps(records))
-        masks = tj.masks.read_masks(tmp_path / "a.json")
-        assert masks.areas().tolist() == [7] * 60
+        assert tj.masks.read_masks(tmp_path / "a.json").areas().tolist() == [7] * 60
 
     def test_a_million_characters_of_run_lengths(self):
         text = "1" * 1_000_000  # differences of 1 to the count two places before

@@ -366,8 +366,7 @@ class TestKitchen:
     def test_depth_and_colour_files(self, shared):
         folder = shared / "data" / "kitchen"
         assert read_image(folder / "frame-000000.color.jpg").shape == (3, 480, 640)
-        depth = read_depth(folder / "frame-000000.depth.png")
-        assert depth.max() < 65
+        assert read_depth(folder / "frame-000000.depth.png").max() < 65
 
     @pytest.mark.slow
     def test_segmenting_a_few_frames(self, shared, tmp_path):

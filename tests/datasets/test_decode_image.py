@@ -46,8 +46,7 @@ def test_numbers_that_the_decoder_would_change(tmp_path):
 
 def test_a_jpeg_whose_end_is_lost(tmp_path):
     """As an interrupted copy leaves it, where the system has made room for the whole file; Pillow shows grey there."""
-    pixels = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
-    Image.fromarray(pixels).save(tmp_path / "it.jpg")
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)).save(tmp_path / "it.jpg")
     whole = (tmp_path / "it.jpg").read_bytes()
     assert decode_image(whole + bytes(99), "it").size == (64, 64)  # some cameras fill the last sector
     with pytest.raises(ValueError, match="it: not a whole image: its end is lost, there are zeros in its place"):

@@ -42,8 +42,7 @@ def test_without_a_mesh_a_cloud_is_fused(tmp_path):
     path = samples.write("replica", tmp_path / "a")
     (path.parent / "room0_mesh.ply").unlink()
     (path.parent / "cam_params.json").rename(path / "cam_params.json")
-    scene = tj.load_scene(path, voxel_size=0.1)
-    assert float((scene.points[:, 1] - 2).abs().max()) < 0.2
+    assert float((tj.load_scene(path, voxel_size=0.1).points[:, 1] - 2).abs().max()) < 0.2
 
 
 @pytest.mark.parametrize(

@@ -145,7 +145,7 @@ class TestSam:
     def test_other_things_are_named(self):
         with pytest.raises(TypeError, match="records: expected a list of dicts, got dict"):
             tj.masks.from_sam(sam_records()[0])
-        with pytest.raises(ValueError, match=r"records\[0\]: expected a dict with segmentation, got mask"):
+        with pytest.raises(ValueError, match=r"records\[0\]: expected a dict with segmentation, got .*mask"):
             tj.masks.from_sam([{"mask": STACK[0]}])
         with pytest.raises(ValueError, match=r"segmentation: expected 5 x 4 pixels, got 3 x 4"):
             tj.masks.from_sam(sam_records(), size=(5, 4))
@@ -189,7 +189,8 @@ class TestCoco:
 
 class TestPanoptic:
     def test_only_listed_segments_are_masks(self):
-        infos = [{"id": 5, "score": 0.5, "label_id": 2}, {"id": 9, "category_id": 1}]
+        infos = [{"id": 5, "score": 0.5, "label_id": 2}, {"id": 9, "category_id": 1, "class_name": "cup"}]
+        assert tj.masks.from_panoptic(LABELS, infos).names == ("", "cup")
         assert_equal(tj.masks.from_panoptic(LABELS, infos), torch.stack([LABELS == 5, LABELS == 9]), [0.5, 1])
         assert len(tj.masks.from_panoptic(LABELS, [])) == 0
         with pytest.warns(UserWarning, match="segmentation: 2 of 3 ids are not in it, such as 6"):
@@ -198,6 +199,8 @@ class TestPanoptic:
     def test_damage_is_named(self):
         with pytest.raises(ValueError, match=r"segments_info: expected each id once, got \[5, 5\]"):
             tj.masks.from_panoptic(LABELS, [{"id": 5}, {"id": 5}])
+        with pytest.raises(ValueError, match=r"segments_info\[0\]: expected a dict with id, an integer, got .*'P0'"):
+            tj.masks.from_panoptic(LABELS, [{"id": "P0"}])
         with pytest.raises(TypeError, match=r"segmentation: expected an integer dtype, got torch\.float32"):
             tj.masks.from_panoptic(LABELS.float(), [{"id": 5}])
 

@@ -126,8 +126,7 @@ def test_a_recipe_writes_masks_for_the_folder(scene, monkeypatch, name):
         exec(compile(code, name, "exec"), {})
     else:
         runpy.run_path(str(ROOT / "examples" / "sam_masks.py"))[name](Path("recording"), Path("masks"))
-    masked = tj.masks.read_folder("masks", scene)
-    first, second = (frame.masks for frame in masked.frames)
+    first, second = (frame.masks for frame in tj.masks.read_folder("masks", scene).frames)
     assert len(first) == 2
     assert first.covered().sum() == 6 * 4 + 3 * 4
     assert first.scores.tolist() == pytest.approx([0.55 if name == "CropFormer" else 0.45] * 2)

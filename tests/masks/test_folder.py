@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,16 +55,16 @@ def test_frames_of_every_data_set_get_the_masks_of_their_name(tmp_path, name):
 
 def test_each_kind_of_file(tmp_path):
     write_labels(tmp_path / "a.png")
-    write_labels(tmp_path / "b" / "0.png", value=255)
+    write_labels(tmp_path / "b" / "7.PNG", value=255)
     stack = torch.zeros(2, *SIZE, dtype=torch.bool)
     tj.masks.save_masks(tmp_path / "c.npz", tj.masks.from_stack(stack))
-    record = {"segmentation": {"size": SIZE, "counts": [48]}}
-    (tmp_path / "d.json").write_text(json.dumps([record] * 3))
+    (tmp_path / "d.json").write_text(json.dumps([{"segmentation": {"size": SIZE, "counts": [48]}}] * 3))
     write_labels(tmp_path / "e.masks.png")
     (tmp_path / "README.md").write_text("none")
     (tmp_path / ".hidden").mkdir()
     masked = tj.masks.read_folder(tmp_path, scene_of(*"abcde"))
     assert [len(frame.masks) for frame in masked.frames] == [1, 1, 2, 3, 1]
+    assert masked.frames[1].masks.ids == (7,)
 
 
 def test_names_in_an_archive_of_ones_own(tmp_path):
@@ -79,6 +80,8 @@ def test_names_in_an_archive_of_ones_own(tmp_path):
         assert tj.masks.read_masks(tmp_path / "zero.npz").covered().sum() == 2
     assert len(tj.masks.from_labels(torch.from_numpy(unsigned))) == 2
     np.savez(tmp_path / "few.npz", masks=stack, names=["cup"])
+    with pytest.raises(ValueError, match="ids: expected integers of 64 bits, got 'P0'"):
+        replace(tj.masks.read_masks(tmp_path / "stack.npz"), ids=(1, "P0"))
     with pytest.raises(ValueError, match=r"few.npz.*names: expected one for each of 2 masks, got 1"):
         tj.masks.read_masks(tmp_path / "few.npz")
 
@@ -293,8 +296,7 @@ def test_masks_are_read_with_their_frame(tmp_path):
 
 def test_names_of_lazy_frames_are_known_without_reading():
     frames = LazySequence(3, lambda _: pytest.fail("read a frame"), ["a", "b", "c"])
-    scene = tj.Scene(torch.rand(5, 3), frames)
-    assert frame_names(scene.select_frames([2, 0]).frames) == ["c", "a"]
+    assert frame_names(tj.Scene(torch.rand(5, 3), frames).select_frames([2, 0]).frames) == ["c", "a"]
 
 
 class TestCommand:

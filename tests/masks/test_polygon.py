@@ -19,8 +19,7 @@ def test_a_triangle_and_what_lies_on_its_edges():
 
 
 def test_edges_outside_of_the_image_fill_nothing():
-    corners = np.array([[-2.0, -3.0], [-3.0, 1.0], [-9.0, 1.0], [-7.0, -3.0]])
-    assert not filled_polygon(corners, (3, 4)).any()
+    assert not filled_polygon(np.array([[-2.0, -3.0], [-3.0, 1.0], [-9.0, 1.0], [-7.0, -3.0]]), (3, 4)).any()
 
 
 def test_it_fills_what_scikit_image_fills():

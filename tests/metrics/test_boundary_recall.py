@@ -91,8 +91,7 @@ def test_grid_of_neighbors():
 def test_edges_may_be_those_of_neighbors():
     neighbors = torch.tensor([[1], [0], [3], [2]])
     assert boundary_recall(torch.arange(4), torch.tensor([0, 1, 1, 1]), neighbor_edges(neighbors)) == 1.0
-    edges = neighbor_edges(neighbors)
-    assert boundary_recall(torch.arange(4), torch.tensor([0, 1, 1, 1]), edges.int()) == 1.0
+    assert boundary_recall(torch.arange(4), torch.tensor([0, 1, 1, 1]), neighbor_edges(neighbors).int()) == 1.0
 
 
 ONES = torch.ones(4, dtype=torch.int64)

@@ -56,8 +56,7 @@ def block(center, size, yaw, count=400, seed=0):
 def result_of(*blocks, names=None):
     points = torch.cat(blocks)
     labels = torch.repeat_interleave(torch.arange(len(blocks)), torch.tensor([len(one) for one in blocks]))
-    result = tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(points))
-    return replace(result, segment_names=names or {})
+    return replace(tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(points)), segment_names=names or {})
 
 
 def edits_of_boxes(result, boxes, is_text=False):

@@ -29,8 +29,7 @@ def result(tmp_path_factory):
     folder = tmp_path_factory.mktemp("traps")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        path = samples.write("folder", folder / "scene")
-        _segment(path, folder / "out")
+        _segment(samples.write("folder", folder / "scene"), folder / "out")
     return folder / "out"
 
 

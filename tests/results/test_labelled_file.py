@@ -26,8 +26,7 @@ from torchjoint.results.labelled_file import label_file, nearest_labels, part_fi
 
 
 def result_of(points, labels, colors=None):
-    scene = tj.Scene(points, colors=colors)
-    return tj.Result.of(tj.Segmentation(labels, ()), scene)
+    return tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(points, colors=colors))
 
 
 @pytest.fixture
@@ -146,6 +145,14 @@ def test_a_mesh_has_labels_of_vertices_and_triangles(tmp_path, encoding):
     assert not (tmp_path / "c.ply").exists()
 
 
+def test_faces_of_several_lengths_have_no_labels(tmp_path):
+    """An edge and a quad: as many triangles as faces."""
+    path = squares(tmp_path / "a.ply", "ascii")
+    path.write_text(path.read_text().replace("\n3 0 1 2\n3 1 3 2\n", "\n2 0 1\n4 0 1 3 2\n"))
+    label_file(path, tmp_path / "b.ply", of_squares())
+    assert (tmp_path / "b.ply").read_text().endswith("\n2 0 1\n4 0 1 3 2\n3 4 5 6\n3 5 7 6\n")
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
 def test_line_ends_and_comments_stay(tmp_path, encoding):
     """As Windows writes them: without the label, the file is the one before. No warning tells of columns that stay."""
@@ -227,9 +234,8 @@ def test_a_mesh_of_a_survey_is_as_exact_in_a_glb(tmp_path):
     rows = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in places.tolist()]
     faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES.tolist()]
     (tmp_path / "a.obj").write_text("\n".join([*rows, *faces]))
-    label_file(tmp_path / "a.obj", tmp_path / "b.glb", result_of(places, torch.zeros(len(places), dtype=torch.int64)))
-    found = meshes.read_mesh_file(tmp_path / "b.glb").points
-    assert (torch.cdist(places, found.double()).amin(1) < 1e-3).all()
+    label_file(tmp_path / "a.obj", tmp_path / "b.GLB", result_of(places, torch.zeros(len(places), dtype=torch.int64)))
+    assert (torch.cdist(places, meshes.read_mesh_file(tmp_path / "b.GLB").points.double()).amin(1) < 1e-3).all()
 
 
 def test_points_on_a_mesh_are_even_and_in_its_colours():
@@ -283,8 +289,10 @@ def test_a_file_that_was_moved_is_told():
     result = result_of(points, torch.arange(400))
     order = torch.randperm(400)
     assert torch.equal(nearest_labels(result, points[order] + 0.25), order)
-    with pytest.warns(UserWarning, match="farther than 2 m, whose neighbours are 1 m apart; was the file moved"):
-        nearest_labels(result, points + torch.tensor([0.0, 0, 2]))
+    turned = points @ torch.tensor([[0.96, 0, 0.28], [0, 1, 0], [-0.28, 0, 0.96]])
+    for moved in (points + torch.tensor([0.0, 0, 2]), turned, turned[1:]):
+        with pytest.warns(UserWarning, match="whose points are 1 m apart; was it moved"):
+            nearest_labels(result, moved)
 
 
 def test_a_file_with_nothing_within_reach_is_an_error():
@@ -332,7 +340,7 @@ def test_a_cloud_that_was_mirrored_is_told(scene_of):
     scene = scene_of(3).scene
     result = result_of(scene.points, torch.zeros(len(scene.points), dtype=torch.int64))
     axis, box = torch.tensor([1.0, 0, 0]), scene.points.amin(0) + scene.points.amax(0)
-    with pytest.warns(UserWarning, match="was the file moved"):
+    with pytest.warns(UserWarning, match="was it moved"):
         nearest_labels(result, scene.points * (1 - 2 * axis) + axis * box)
     nearest_labels(result, scene.points.flip(0) + 1e-4)  # without a warning
 
@@ -340,7 +348,7 @@ def test_a_cloud_that_was_mirrored_is_told(scene_of):
 def test_a_file_of_more_than_was_segmented_is_told():
     points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
     more = torch.cat([points, points[:300] + 500])
-    with pytest.warns(UserWarning, match="300 of 700 vertices are farther than 4 m from the result; they have the"):
+    with pytest.warns(UserWarning, match="300 of 700 vertices are farther than 4 m from the result, whose"):
         found = nearest_labels(result_of(points, torch.arange(400)), more)
     assert torch.equal(found[:400], torch.arange(400))
 
@@ -349,7 +357,7 @@ def test_a_file_of_more_than_was_segmented_is_told():
 def test_a_mesh_that_was_moved_is_told_once(tmp_path, suffix):
     points = torch.cartesian_prod(torch.arange(20.0), torch.arange(20.0), torch.zeros(1))
     write_cloud(tmp_path / "a.ply", points + torch.tensor([0.0, 0, 2]), faces=torch.tensor([[0, 1, 20], [1, 20, 21]]))
-    with pytest.warns(UserWarning, match="was the file moved") as told:
+    with pytest.warns(UserWarning, match="was it moved") as told:
         label_file(tmp_path / "a.ply", tmp_path / f"b{suffix}", result_of(points, torch.arange(400)))
     assert len(told) == 1
 
@@ -412,6 +420,23 @@ class TestSurvey:
             warnings.simplefilter("error")
             label_file(tmp_path / "own.laz", tmp_path / "out.laz", tj.load_result(survey[1]))
         assert laspy.read(tmp_path / "out.laz")["Deviation"].all()
+
+    @pytest.mark.parametrize("suffix", [".las", ".laz"])
+    def test_waveforms_are_found(self, tmp_path, suffix):
+        """Their record lies behind the points, and the header tells at which byte."""
+        cloud, one = (
+            laspy.LasData(laspy.LasHeader(point_format=9, version="1.4")),
+            laspy.VLR("LASF_Spec", 65535, "", b"w"),
+        )
+        cloud.x = cloud.y = cloud.z = np.arange(50.0)
+        cloud.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("other", 7, "", bytes(9)), one])
+        cloud.write(tmp_path / "a.las")
+        data = bytearray((tmp_path / "a.las").read_bytes())
+        data[227:235] = (data.rindex(b"LASF_Spec") - 2).to_bytes(8, "little")
+        (tmp_path / "a.las").write_bytes(data)
+        write_labelled(tmp_path / "a.las", tmp_path / f"b{suffix}", {"label": np.arange(50)})
+        made = (tmp_path / f"b{suffix}").read_bytes()
+        assert made[int.from_bytes(made[227:235], "little") + 2 :].startswith(b"LASF_Spec")
 
     def test_a_wrong_name_leads_to_the_cloud(self, survey, run, tmp_path):
         with pytest.raises(SystemExit, match=r"sit\.laz does not exist; the cloud of this result is .*points\.ply"):

@@ -137,8 +137,7 @@ class TestARun:
         superpoints = tuple(np.flatnonzero(parts.stored == segment).tolist())
         for name, expected in (("sofa", "sofa"), ("", None)):
             write_edits(copy, Edits(parts.count, steps=(Edit("name", superpoints[:1], name),)))
-            loaded = tj.load_result(copy)
-            assert loaded.segment_names.get(segment) == expected
+            assert tj.load_result(copy).segment_names.get(segment) == expected
             run("export", copy, "--format", "csv", "-o", tmp_path / "a.csv", "--overwrite")
             assert (",sofa," in (tmp_path / "a.csv").read_text()) == (expected is not None)
 

@@ -72,8 +72,7 @@ def test_positions_and_pixels():
 
 
 def test_without_a_hierarchy_there_are_whole_segments():
-    scene = tj.Scene(torch.rand(4, 3))
-    result = tj.Result.of(tj.Segmentation(torch.tensor([0, 0, 1, 1]), ()), scene)
+    result = tj.Result.of(tj.Segmentation(torch.tensor([0, 0, 1, 1]), ()), tj.Scene(torch.rand(4, 3)))
     assert result.pick(torch.tensor([1])).points.tolist() == [True, True, False, False]
     with pytest.raises(ValueError, match="negative: expected points apart from the chosen ones"):
         result.pick(torch.tensor([1]), negative=torch.tensor([0]))

@@ -33,8 +33,7 @@ def box(low, high):
 def graph_of(*things):
     points = np.concatenate(things)
     labels = torch.cat([torch.full((len(thing),), index) for index, thing in enumerate(things)])
-    scene = tj.Scene(torch.from_numpy(points).float())
-    return tj.Result.of(tj.Segmentation(labels, ()), scene).graph()
+    return tj.Result.of(tj.Segmentation(labels, ()), tj.Scene(torch.from_numpy(points).float())).graph()
 
 
 FLOOR = grid((0, 0, 0), (2, 2, 0))

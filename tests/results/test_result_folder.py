@@ -77,8 +77,7 @@ def test_an_id_that_is_none(result, segment):
 def test_an_id_without_points(result):
     """Corrections by hand may leave gaps between ids."""
     gap = result.num_point_segments
-    labels = torch.where(result.points == 0, gap + 1, result.points)
-    changed = dataclasses.replace(result, points=labels)
+    changed = dataclasses.replace(result, points=torch.where(result.points == 0, gap + 1, result.points))
     for what in (changed.crops, changed.cloud):
         for segment in (0, gap, gap + 2, 2**70, -1):
             with pytest.raises(ValueError, match=rf"segment: expected an id of .*, got {segment}: no point has it"):
@@ -122,8 +121,7 @@ def test_overlays_can_be_looked_at(out, result):
     painted = np.array(Image.open(out / "images_color" / f"{result.names[0]}.jpg"))
     assert painted.shape == (120, 160, 3)
     assert painted.std() > 20  # not black
-    labels = torch.tensor([[-1, -1, 0, 0]])
-    one = overlay(torch.full((1, 4, 3), 128, dtype=torch.uint8), labels, 1)
+    one = overlay(torch.full((1, 4, 3), 128, dtype=torch.uint8), torch.tensor([[-1, -1, 0, 0]]), 1)
     assert one[0, 0].tolist() == [128] * 3
     assert one[0, 1].tolist() == [255] * 3  # the border
     color = (255 * label_colors(torch.tensor([0]), 1)).round()
@@ -226,8 +224,7 @@ class TestCrops:
         for crop in crops:
             x, y, width, height = crop.box
             assert crop.name == result.names[crop.frame]
-            labels = result.images[crop.frame][y : y + height, x : x + width]
-            assert torch.equal(crop.mask, labels == seen.id)
+            assert torch.equal(crop.mask, result.images[crop.frame][y : y + height, x : x + width] == seen.id)
             assert int(crop.mask.sum()) == crop.pixels
             image = result.scene.frames[crop.frame].image
             assert torch.equal(crop.image, image[:, y : y + height, x : x + width])
@@ -293,8 +290,7 @@ class TestExports:
 
     def test_sam(self, export, result):
         coder = pytest.importorskip("pycocotools.mask")
-        folder = export("sam")
-        record = json.loads((folder / f"{result.names[1]}.json").read_text())
+        record = json.loads((export("sam") / f"{result.names[1]}.json").read_text())
         drawn = np.full((120, 160), -1)
         for annotation in record["annotations"]:
             drawn[coder.decode(annotation["segmentation"]).astype(bool)] = annotation["id"]
@@ -302,8 +298,7 @@ class TestExports:
         np.testing.assert_array_equal(drawn, result.images[1])
 
     def test_las(self, export, result):
-        laspy = pytest.importorskip("laspy")
-        cloud = laspy.read(export("las"))
+        cloud = pytest.importorskip("laspy").read(export("las"))
         np.testing.assert_allclose(cloud.xyz, result.scene.points, atol=1e-4)
         np.testing.assert_array_equal(cloud["label"], result.points)
         np.testing.assert_allclose(cloud["confidence"], result.point_confidence, atol=1e-6)

@@ -19,5 +19,4 @@ def test_as_counted_by_hand(rows):
         totals[groups.index(group)][value] += count
     expected = [min(total, key=lambda value: (-total[value], value)) for total in totals]
     value, group, count = (torch.tensor(column) for column in zip(*rows, strict=True))
-    found = most_frequent(value, torch.unique(group, return_inverse=True)[1], count)
-    assert found.tolist() == expected
+    assert most_frequent(value, torch.unique(group, return_inverse=True)[1], count).tolist() == expected

@@ -32,8 +32,7 @@ def test_what_is_missing_is_told(module, tmp_path, monkeypatch):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.delattr(tj.metrics, "modules", raising=False)
     monkeypatch.setitem(sys.modules, module.split(".")[0], None)
-    scene = tj.Scene(torch.rand(5, 3))
-    result = tj.Result.of(tj.Segmentation(torch.zeros(5, dtype=torch.int64), ()), scene)
+    result = tj.Result.of(tj.Segmentation(torch.zeros(5, dtype=torch.int64), ()), tj.Scene(torch.rand(5, 3)))
     message = re.escape(f"needs {package}: pip install 'torchjoint[{extra}]'")
     with pytest.raises(ModuleNotFoundError, match=message):
         use(tmp_path / "file", result)

@@ -53,8 +53,7 @@ def test_a_frame_scales_masks_of_another_size() -> None:
     half = torch.tensor([[0, 0, 1], [0, -1, 1]])
     pass_through = frame(masks=torch.where(half < 0, -1, half + 1))
     assert isinstance(pass_through.masks, Masks)
-    expected = half.repeat_interleave(2, 0).repeat_interleave(2, 1)
-    assert torch.equal(pass_through.masks.labels(), expected)
+    assert torch.equal(pass_through.masks.labels(), half.repeat_interleave(2, 0).repeat_interleave(2, 1))
     with pytest.warns(UserWarning, match="0 counts as a mask, and no pixel is -1"):
         frame(masks=torch.zeros(4, 6, dtype=torch.int64))
     with pytest.warns(UserWarning, match="65535 is a label; if it was -1"):

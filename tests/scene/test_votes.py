@@ -120,5 +120,4 @@ def test_members_of_a_small_room(scene_of):
     assert masked.hierarchy.votes.segments.shape == (3, masked.hierarchy.num_superpoints)
     assert torch.equal(masked.hierarchy.votes.size, torch.bincount(masked.hierarchy.superpoint))
     assert masked.confidence.shape == (masked.num_point_segments,)
-    by_paper = tj.JointSegmenter(tj.Config.from_preset("paper"))(scene)
-    assert by_paper.confidence is None
+    assert tj.JointSegmenter(tj.Config.from_preset("paper"))(scene).confidence is None

@@ -318,6 +318,7 @@ def test_the_panel_stands_beside_the_cloud(viewer, page):
     assert page.locator("#tj-table tr").evaluate_all("rows => Math.max(...rows.map((row) => row.offsetHeight))") < 25
     page.get_by_role("tab", name="Photo").click()
     page.set_viewport_size({"width": 1000, "height": 700})
+    assert is_in_view(page.get_by_text("Save the level"), 350)
     wait(lambda: camera(viewer).image_height == 700 and sees_all(viewer))
     assert is_in_view(page.get_by_role("checkbox", name="Cameras"), 700)
 

@@ -109,8 +109,7 @@ def test_a_split_goes_down_the_tree():
     merges = torch.tensor([[0, 1], [2, 3], [1, 2], [3, 4]])
     hierarchy = Hierarchy(torch.arange(5), merges, torch.tensor([0.1, 0.2, 0.3, 0.9], dtype=torch.float64))
     table = np.array([0, 0, 0, 0, 4])
-    once = Edits(5, None, (Edit("split", (1,)),)).apply(table, hierarchy)
-    assert once.tolist() == [0, 0, 2, 2, 4]
+    assert Edits(5, None, (Edit("split", (1,)),)).apply(table, hierarchy).tolist() == [0, 0, 2, 2, 4]
     twice = Edits(5, None, (Edit("split", (1,)), Edit("split", (3,)))).apply(table, hierarchy)
     assert twice.tolist() == [0, 0, 2, 3, 4]
     apart = (Edit("join", (3, 4)), Edit("split", (4,)), Edit("split", (4,)))  # 3-4 merge last, so they part first
@@ -266,8 +265,7 @@ def keys_of_points_on_disk(model):
 def picked():
     """A model of six superpoints, one point each: ((0 1) .2, (2 3) .4) .6, (4 5) .3, and all at .9."""
     merges = torch.tensor([[0, 1], [2, 3], [1, 2], [4, 5], [0, 5]])
-    heights = torch.tensor([0.2, 0.4, 0.6, 0.3, 0.9], dtype=torch.float64)
-    hierarchy = Hierarchy(torch.arange(6), merges, heights)
+    hierarchy = Hierarchy(torch.arange(6), merges, torch.tensor([0.2, 0.4, 0.6, 0.3, 0.9], dtype=torch.float64))
     points = torch.arange(6.0)[:, None] * torch.tensor([1.0, 0, 0])
     vectors = Embeddings(torch.eye(3), hierarchy.at())
     segmentation = tj.Segmentation(hierarchy.at(), (), hierarchy=hierarchy)

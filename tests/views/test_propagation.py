@@ -42,8 +42,7 @@ def test_eq_5_by_hand():
 def test_contours_by_hand():
     """The points 0, 2 and 3 are in the columns 0, 1 and 4; the image does not see point 1."""
     boundary = torch.tensor([[0, 51, 0, 9, 0], [0, 70, 70, 70, 0]], dtype=torch.uint8)
-    edge_index = torch.tensor([[0, 0, 2, 0, 1], [2, 3, 3, 1, 3]])
-    edges = CsrAdjacency.of(edge_index, 4)
+    edges = CsrAdjacency.of(torch.tensor([[0, 0, 2, 0, 1], [2, 3, 3, 1, 3]]), 4)
     edge, strength = edge_contours(edges, visible_at([(0, 0), (0, 1), (0, 4)], [0, 2, 3]), boundary)
     assert dict(zip(edge.tolist(), strength.tolist(), strict=True)) == {0: 51, 1: 51, 2: 51}
     edge, strength = edge_contours(edges, visible_at([(1, 0), (0, 2), (0, 4)], [0, 2, 3]), boundary)

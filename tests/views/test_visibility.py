@@ -60,8 +60,7 @@ def test_the_pose_is_world_to_camera():
 @pytest.mark.parametrize("method", METHODS)
 def test_a_wall_hides_what_is_behind_it(method):
     front, behind = wall(1.0, 0.15), wall(2.0, 0.1)
-    visible = points_in_view(torch.cat([front, behind]), method)
-    assert torch.equal(visible.point, torch.arange(len(front)))
+    assert torch.equal(points_in_view(torch.cat([front, behind]), method).point, torch.arange(len(front)))
 
 
 # Hidden point removal loses points near the silhouette of what is in front of them; the z-buffer does not.

@@ -59,8 +59,7 @@ def batch(
 def _print(report: BatchReport) -> None:
     new = len(report.reports) - len(report.skipped)
     say(f"{new} segmented, {len(report.skipped)} were done before, {len(report.failures)} failed")
-    warned = sum(bool(one.warnings) for one in report.reports.values())
-    if warned:
+    if warned := sum(bool(one.warnings) for one in report.reports.values()):
         say(f"{warned} with warnings: see {report.out / SUMMARY}")
     width = max((len(name) for name in report.failures), default=0)
     for name, reason in list(report.failures.items())[:MOST_PRINTED]:

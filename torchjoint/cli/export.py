@@ -99,7 +99,9 @@ def export(
         else:
             FORMATS[format](path, loaded)
     say(out)
-    if format == "labelcloud" and not (classes := out.with_name("_classes.json")).exists() and not classes.is_symlink():
+    if format == "labelcloud" and ((classes := out.with_name("_classes.json")).exists() or classes.is_symlink()):
+        say(f"{classes}: was there, and stays; labelCloud takes names and colours from it")
+    elif format == "labelcloud":
         with output_file(classes, False, inputs).written() as path:
             export_labelcloud_classes(path, loaded)
         say(f"{classes}: the names, and that angles are degrees; labelCloud reads it beside {out.name}")

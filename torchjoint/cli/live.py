@@ -163,8 +163,7 @@ class _Results(NamedTuple):
         if self.log is not None:
             self.log.show(result, count)
         if self.view is not None:
-            seen = self.recording.select_frames(range(count))
-            self.view.show(result, seen, f"{when}: {len(result.ids)} things")
+            self.view.show(result, self.recording.select_frames(range(count)), f"{when}: {len(result.ids)} things")
         return result
 
 

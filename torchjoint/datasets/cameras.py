@@ -272,8 +272,7 @@ def register_depth(depth: Tensor, depth_intrinsics: Tensor, intrinsics: Tensor, 
         place = (ray * depth_intrinsics[axis, axis] + depth_intrinsics[axis, 2]).round()
         reached.append((place >= 0) & (place < depth.shape[1 - axis]))
         indices.append(place.clamp(0, depth.shape[1 - axis] - 1).long())
-    inside = reached[0][:, None] & reached[1]
-    return torch.where(inside, depth[indices[0]][:, indices[1]], 0)
+    return torch.where(reached[0][:, None] & reached[1], depth[indices[0]][:, indices[1]], 0)
 
 
 def resize_nearest(image: Tensor, size: tuple[int, int]) -> Tensor:

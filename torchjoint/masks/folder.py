@@ -26,7 +26,7 @@ from torchjoint.scene.masks import Masks
 from torchjoint.scene.scene import evenly_spaced_indices
 
 #: The files that :func:`read_masks` reads, besides folders.
-SUFFIXES = (".png", ".npz", ".json")
+SUFFIXES, PNGS = (".png", ".npz", ".json"), "*.[pP][nN][gG]"
 #: Scores in a folder of PNGs, as SAM's command line writes them: columns id, predicted_iou, stability_score.
 METADATA = "metadata.csv"
 #: A mask of a larger share of its image is hardly that of a thing.
@@ -130,13 +130,14 @@ def _read_npz(path: Path) -> Masks:
 
 
 def _read_pngs(path: Path) -> Masks:
-    files = sorted(path.glob("*.png"), key=lambda file: (len(file.name), file.name))
+    files = sorted(path.glob(PNGS), key=lambda file: (len(file.name), file.name))
     if not files:
         raise ValueError(f"{path}: expected PNGs, one for each mask, got none")
     stems = [file.stem for file in files]
     scores = torch.tensor(_scores(path / METADATA, stems) or [1.0] * len(files), dtype=torch.float32)
     names = tuple("" if stem.isdecimal() else stem for stem in stems)  # SAM's numbers are no names
-    return replace(merged(map(_read_png, files), len(files), None, scores, path.name), names=names)
+    ids = tuple(map(int, stems)) if all(stem.isdecimal() and len(stem) < 19 for stem in stems) else ()
+    return replace(merged(map(_read_png, files), len(files), None, scores, path.name), ids=ids, names=names)
 
 
 def _read_png(file: Path) -> Pixels:
@@ -265,9 +266,7 @@ def _readers(folder: Path) -> Readers:
         raise FileNotFoundError(f"{folder}: missing; expected a folder of masks, or a COCO file")
     readers: Readers = {}
     for path in sorted(folder.iterdir()):
-        is_masks = path.suffix.lower() in SUFFIXES or (
-            has_folder(path) and any(one.suffix == ".png" for one in path.iterdir())
-        )
+        is_masks = path.suffix.lower() in SUFFIXES or (has_folder(path) and any(path.glob(PNGS)))
         if path.name.startswith(".") or not is_masks:
             continue
         name = path.name if has_folder(path) else path.stem

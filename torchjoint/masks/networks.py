@@ -36,8 +36,7 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
     scores = torch.tensor([_score(one, f"records[{i}]") for i, one in enumerate(records)], dtype=torch.float32)
     check_declared((record["segmentation"] for record in records), size, "records")
     masks = (_pixels(record, size, f"records[{index}]") for index, record in enumerate(records))
-    names = tuple(str(record.get("class_name", "")) for record in records)
-    return replace(merged(masks, len(records), size, scores, "records"), names=names if any(names) else ())
+    return replace(merged(masks, len(records), size, scores, "records"), names=_names(records))
 
 
 def _pixels(record: Mapping[str, Any], size: tuple[int, int] | None, name: str) -> Pixels:
@@ -51,7 +50,7 @@ def _pixels(record: Mapping[str, Any], size: tuple[int, int] | None, name: str) 
 
 def _score(record: Mapping[str, Any], name: str) -> float:
     if not isinstance(record, Mapping) or "segmentation" not in record:
-        raise ValueError(f"{name}: expected a dict with segmentation, got {_entries(record)}")
+        raise ValueError(f"{name}: expected a dict with segmentation, got {str(record)[:60]}")
     product = 1.0
     for entry in ("predicted_iou", "stability_score", "score"):
         value = record.get(entry, 1.0)
@@ -65,8 +64,9 @@ def _score(record: Mapping[str, Any], name: str) -> float:
     return min(max(product, 0.0), 1.0)
 
 
-def _entries(record: object) -> str:
-    return ", ".join(map(str, record)) or "an empty one" if isinstance(record, Mapping) else type(record).__name__
+def _names(records: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    names = tuple(str(record.get("class_name", "")) for record in records)
+    return names if any(names) else ()
 
 
 @on_cpu()
@@ -75,8 +75,8 @@ def from_panoptic(segmentation: Any, segments_info: Sequence[Mapping[str, Any]])
 
     Args:
         segmentation: [H, W] integers.
-        segments_info: a dict for each mask: ``id``, the mask's value in the map, and an optional ``score`` in [0, 1].
-            Pixels with other values are in no mask.
+        segments_info: a dict for each mask: ``id``, the mask's value in the map, an optional ``score`` in [0, 1], and
+            an optional ``class_name``. Pixels with other values are in no mask.
 
     Raises:
         ValueError, TypeError: naming the argument, what was expected and what came; also if an id occurs twice.
@@ -89,8 +89,8 @@ def from_panoptic(segmentation: Any, segments_info: Sequence[Mapping[str, Any]])
     labels = as_labels(found, tuple(found.shape), "segmentation")
     masks, scores, ids = [], [], []
     for index, info in enumerate(segments_info):
-        if not isinstance(info, Mapping) or "id" not in info:
-            raise ValueError(f"segments_info[{index}]: expected a dict with id, got {info!r}")
+        if not isinstance(info, Mapping) or not hasattr(info.get("id"), "__index__"):
+            raise ValueError(f"segments_info[{index}]: expected a dict with id, an integer, got {str(info)[:60]}")
         ids.append(int(info["id"]))
         if not INT64.min <= ids[-1] <= INT64.max:
             raise ValueError(f"segments_info[{index}]: expected an id of 64 bits, got {str(ids[-1])[:60]}")
@@ -101,7 +101,8 @@ def from_panoptic(segmentation: Any, segments_info: Sequence[Mapping[str, Any]])
     if lost := [one for one, mask in zip(ids, masks, strict=True) if not mask.any()]:
         warnings.warn(f"segmentation: {len(lost)} of {len(ids)} ids are not in it, such as {lost[0]}", stacklevel=3)
     stack = torch.stack(masks) if masks else torch.zeros(0, *labels.shape, dtype=torch.bool)
-    return replace(Masks.from_stack(stack, torch.tensor(scores, dtype=torch.float32), "segmentation"), ids=tuple(ids))
+    made = Masks.from_stack(stack, torch.tensor(scores, dtype=torch.float32), "segmentation")
+    return replace(made, ids=tuple(ids), names=_names(segments_info))
 
 
 @on_cpu()

@@ -272,8 +272,7 @@ def embed(
         if crops:
             # The thing alone, and with what is around it.
             inputs = [one for crop in crops for one in (torch.where(crop.mask, crop.image, GREY), crop.image)]
-            images = torch.stack([_square(one, size) for one in inputs])
-            vectors[record.id] = _mean_vector(encoder, images)
+            vectors[record.id] = _mean_vector(encoder, torch.stack([_square(one, size) for one in inputs]))
     zeros = torch.zeros(next((len(vector) for vector in vectors.values()), 0), dtype=torch.float32)
     found = [vectors.get(segment, zeros) for segment in range(result.num_point_segments)]
     return Embeddings(torch.stack(found), result.points)

@@ -131,8 +131,7 @@ def _colors_of_heights(scene: Scene) -> Tensor:
     heights = scene.points.double() @ up_direction(scene)
     low, high = np.quantile(heights[:: -(-len(heights) // SAMPLED)].numpy(), (0.02, 0.98))
     share = ((heights - low) / max(high - low, 1e-9)).clamp(0, 1)
-    table = torch.from_numpy(colormaps["viridis"](np.arange(256))[:, :3]).float()
-    return table[(share * 255).long()]
+    return torch.from_numpy(colormaps["viridis"]((share * 255).long().numpy())[:, :3]).float()
 
 
 def _bytes(picture: Tensor) -> npt.NDArray[np.uint8]:

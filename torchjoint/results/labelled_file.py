@@ -82,9 +82,11 @@ def write_labelled(
                 writer.write_points(record)
                 done += len(chunk)
                 progress(len(chunk))
-            extended = [record for record in reader.evlrs or () if type(record).__name__ not in _STORAGE]
-            if extended:
+            if extended := [record for record in reader.evlrs or () if type(record).__name__ not in _STORAGE]:
                 writer.write_evlrs(laspy.vlrs.vlrlist.VLRList(extended))
+            if waves := reader.header.start_of_waveform_data_packet_record:  # one of these records; LAS 1.3 has none
+                moved = writer.header.start_of_first_evlr - reader.header.start_of_first_evlr
+                writer.header.start_of_waveform_data_packet_record = waves + moved if extended else 0
     return done
 
 
@@ -110,10 +112,10 @@ def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> 
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.
 FAR = 0.25
-#: If they are farther than so many times the distance between neighbours of the result, it may have moved.
+#: Vertices farther than so many times the distance between neighbours of the result may have moved.
 AWAY = 4
-#: Vertices farther than this share of the diagonal were not segmented; a share of more than LOST is told.
-ALONE, LOST = 0.05, 0.05
+#: Vertices farther than this share of the diagonal were not segmented.
+ALONE = 0.05
 
 
 def nearest_labels(result: Result, points: Tensor) -> Tensor:
@@ -146,16 +148,15 @@ def nearest_points(result: Result, points: Tensor) -> Tensor:
     spacing = np.median(tree.query(tree.data[:: len(own) // 2000 + 1], 2)[0][:, 1])  # 0: most points are copies
     diagonal = float((own.double().amax(0) - own.double().amin(0)).norm())
     middle = np.median(distance) if len(distance) else np.inf  # no vertex is finite
-    told = f"expected vertices near the result's points, got half of them farther than {middle:.3g} m"
-    lost = int((distance > (limit := max(AWAY * spacing, ALONE * diagonal))).sum())
-    if middle > FAR * diagonal or lost == len(distance):
+    near = AWAY * spacing / (2 if len(points) == len(own) else 1)  # as many: then it is the same cloud
+    if middle > FAR * diagonal or bool((distance > max(AWAY * spacing, ALONE * diagonal)).all()):
+        told = f"expected vertices near the result's points, got half of them farther than {middle:.3g} m"
         raise ValueError(f"{told}; is the file of another place, or in another frame?")
-    away = 1 if len(points) == len(own) else AWAY  # as many: then it is the same cloud, whose points lie on each other
-    if 0 < away * spacing < middle:
-        warnings.warn(f"{told}, whose neighbours are {spacing:.2g} m apart; was the file moved?", stacklevel=3)
-    elif lost > LOST * len(distance):
-        told = f"{lost} of {len(points)} vertices are farther than {limit:.3g} m from the result"
-        warnings.warn(f"{told}; they have the label of its nearest point all the same", stacklevel=3)
+    for limit, share in ((near / 2, 0.5), (near, 0.1), (max(near, ALONE * diagonal), 0.05)):
+        if limit > 0 and (lost := int((distance > limit).sum())) > share * len(distance):
+            far = f"{lost} of {len(points)} vertices are farther than {limit:.3g} m from the result, whose points"
+            warnings.warn(f"{far} are {spacing:.2g} m apart; was it moved, or a part segmented?", stacklevel=3)
+            break
     return torch.full((len(points),), -1).masked_scatter(finite, torch.from_numpy(index))
 
 
@@ -163,7 +164,7 @@ def _label_text(source: Path, out: Path, result: Result, name: str) -> None:
     points = _read(source).points
     with damage_is(str(source)):
         nearest = nearest_labels(result, points)
-    write_bytes(out, text_clouds.with_column(source, name, nearest.tolist()))
+    write_bytes(out, text_clouds.with_column(source, name, nearest.tolist(), out))
 
 
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
@@ -216,7 +217,7 @@ def _label_mesh(source: Path, out: Path, result: Result, name: str) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it has been told of the vertices
             of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
-        if out.suffix == ".glb":
+        if out.suffix.lower() == ".glb":
             _write_glb(out, mesh, of_face, result)
             return
         records, labels = _records(source, mesh), {"vertex": of_vertex.numpy()}

@@ -55,8 +55,8 @@ class Masks:
         if self.atom.numel() and not 0 <= int(self.atom.min()) <= int(self.atom.max()) < self.atom.numel():
             span = f"{int(self.atom.min())} to {int(self.atom.max())}"
             raise ValueError(f"atom: expected numbers from 0, at most one for each pixel, got {span}")
-        if any(not INT64.min <= one <= INT64.max for one in self.ids):
-            raise ValueError(f"ids: expected integers of 64 bits, got {str(max(self.ids, key=abs))[:60]}")
+        if wrong := [one for one in self.ids if not hasattr(one, "__index__") or not INT64.min <= one <= INT64.max]:
+            raise ValueError(f"ids: expected integers of 64 bits, got {str(wrong[0])[:60]!r}")
         if self.pairs.numel():
             low, high = self.pairs.amin(1).tolist(), self.pairs.amax(1).tolist()
             if min(low) < 0 or high[0] >= self.num_atoms or high[1] >= len(self):

@@ -65,7 +65,7 @@ def read_labelled_cloud(path: Path) -> Result:
 
 
 def _labels(path: Path) -> npt.NDArray[Any] | None:
-    if path.suffix == ".npz":
+    if path.suffix.lower() == ".npz":
         return read_archive(path).get("labels")
     if path.suffix.lower() in (".las", ".laz"):
         with open_las(path) as reader:

@@ -42,9 +42,9 @@ def evaluate(
     If all results have a hierarchy (method learned), all their levels are also scored.
 
     Args:
-        pred: a folder written by `torchjoint segment`; or point labels, .npy or .txt; or instances as in ScanNet's
-            benchmark, .txt with predicted_masks/, or .npz with pred_masks; or, for a data set, a folder of such folders
-            or files, named like the scenes.
+        pred: a folder written by `torchjoint segment`; or point labels, .npy or .txt, in the order of SCENE's cloud,
+            which cannot be checked; or instances as in ScanNet's benchmark, in this order, .txt with predicted_masks/,
+            or .npz with pred_masks; or, for a data set, a folder of such folders or files, named like the scenes.
         scene: a scene with ground truth, or a data set of such scenes; docs/your_data.md lists the layouts.
         protocol: for scans of ScanNet or ScanNet++: which true instances count, those of the 18 classes of ScanNet v2,
             of the 198 of ScanNet200, or of the 84 of ScanNet++; all others are void. Classes are not compared.

@@ -72,8 +72,7 @@ def test_colours_by_any_known_name(tmp_path, suffix, names):
 @pytest.mark.parametrize("names", ["nx ny nz", "normal_x normal_y normal_z", "normalx normaly normalz", "Nx Ny Nz",
                                    "scalar_Nx scalar_Ny scalar_Nz"])  # fmt: skip
 def test_normals_and_places_by_any_known_name(tmp_path, suffix, names):
-    places = named("XYZ", XYZ)
-    read = read_cloud_file(write(tmp_path / f"a{suffix}", places | named(names.split(), NORMALS)))
+    read = read_cloud_file(write(tmp_path / f"a{suffix}", named("XYZ", XYZ) | named(names.split(), NORMALS)))
     np.testing.assert_array_equal(read.points, XYZ)
     np.testing.assert_array_equal(read.normals, NORMALS)
     assert read.colors is None

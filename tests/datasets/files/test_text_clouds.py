@@ -1,5 +1,7 @@
 """Clouds as text: what can be read without guessing is read; what cannot, is told with file, line and remedy."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -189,12 +191,20 @@ def test_a_column_of_another_length_is_an_error(tmp_path, values):
     assert lines[-1] == b"1,1,1,6"
 
 
-@pytest.mark.parametrize("names", ["x;y;z\n", "x;y;z;\n", "# X;Y;Z\n", ""])
+@pytest.mark.parametrize("names", ["x;y;z\n", "x;y;z;\n", "# X;Y;Z\n", "x;y;Höhe;z\n", ""])
 def test_rows_that_end_with_a_semicolon_get_no_empty_column(tmp_path, names):
     """Labels stood one column behind their name."""
-    (tmp_path / "a.csv").write_text(f"{names}0;0,5;0;\n1;1,5;1;\n")
+    (tmp_path / "a.csv").write_text(f"{names}0;0,5;0;\n1;1,5;1;\n", "cp1252")
     *titles, first, second = text_clouds.with_column(tmp_path / "a.csv", "label", [5, 6]).splitlines()
-    assert titles == [f"{line.strip(';')};label".encode() for line in names.splitlines()]
+    assert titles == [f"{line.strip(';')};label".encode("cp1252") for line in names.splitlines()]
     assert (first, second) == (b"0;0,5;0;5", b"1;1,5;1;6")
     (tmp_path / "b.csv").write_bytes(b"0;0;0;1\n1;1;1;\n")  # an empty field
     assert text_clouds.with_column(tmp_path / "b.csv", "label", [5, 6]) == b"0;0;0;1;5\n1;1;1;;6\n"
+
+
+def test_a_label_behind_six_columns_of_a_pts(tmp_path):
+    """Its seven columns would be x y z, an intensity, and other colours."""
+    (tmp_path / "a.pts").write_text("2\n0 0 0 10 20 30\n1 1 1 11 20 30\n")
+    with pytest.raises(ValueError, match=r"7 columns of a \.pts are x y z intensity r g b; give -o NAME\.xyz"):
+        text_clouds.with_column(tmp_path / "a.pts", "label", [5, 6])
+    assert text_clouds.with_column(tmp_path / "a.pts", "label", [5, 6], Path("b.xyz")).endswith(b"1 1 1 11 20 30 6\n")

@@ -148,8 +148,7 @@ class TestPoses:
         torch.testing.assert_close(self.load(folder, lines), torch.tensor(expected, dtype=torch.float64))
 
     def test_after_the_last_and_only_one(self, folder):
-        pose = self.load(folder, f"{START - 0.015} 1 2 3 0 0 0 1\n")
-        assert pose[:3, 3].tolist() == [-1, -2, -3]
+        assert self.load(folder, f"{START - 0.015} 1 2 3 0 0 0 1\n")[:3, 3].tolist() == [-1, -2, -3]
 
     @pytest.mark.parametrize(
         ("text", "message"),

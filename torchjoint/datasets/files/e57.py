@@ -127,8 +127,8 @@ def _fields(file: Any, header: Any) -> dict[str, Array]:
     data, buffers = {field: np.empty(header.point_count) for field in fields}, libe57.VectorSourceDestBuffer()
     for field, values in data.items():
         buffers.append(libe57.SourceDestBuffer(file.image_file, field, values, len(values), True, True))
-    read = header.points.reader(buffers).read()
-    if read != header.point_count:  # the rest of the arrays is whatever the memory held
+    if (read := header.points.reader(buffers).read()) != header.point_count:
+        # The rest of the arrays is whatever the memory held.
         raise ValueError(f"expected {header.point_count} points, got {read}")
     return data
 

@@ -67,8 +67,8 @@ def read_mesh_file(path: Path) -> CloudFile:
             check_gltf(data, parts, str(path))
         if suffix == ".obj":
             check_obj(data, str(path))
-        own = _rows_of_obj(data) if suffix == ".obj" else None
-        if own is not None and not re.search(rb"^\s*f\s", data, re.MULTILINE):
+        own = _rows_of_obj(data) if suffix == ".obj" else _read_off(data, str(path)) if suffix == ".off" else None
+        if own is not None and (suffix == ".off" or not re.search(rb"^\s*f\s", data, re.MULTILINE)):
             mesh = own
         else:
             loaded = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False)  # type: ignore[arg-type]  # it only gets
@@ -81,8 +81,6 @@ def read_mesh_file(path: Path) -> CloudFile:
             mesh = _joined(loaded.dump(), str(path))
             if own is not None:
                 mesh = _in_rows(mesh, own)._replace(faces=_faces_of_obj(data, len(own.points)))
-            if suffix == ".off":
-                mesh = mesh._replace(colors=_colors_of_off(data, len(mesh.points), str(path)))
     except MemoryError:
         raise
     except Exception as error:  # trimesh raises errors of many types for damaged files
@@ -91,8 +89,8 @@ def read_mesh_file(path: Path) -> CloudFile:
         raise ValueError(f"{path}: expected a mesh with vertices, got none")
     if mesh.faces is None and _NORMALS.search(data):
         warnings.warn(f"{path}: normals are not read of {path.suffix} files", stacklevel=4)
-    if mesh.faces is not None and not 0 <= int(mesh.faces.min()) <= int(mesh.faces.max()) < len(mesh.points):
-        low, high = int(mesh.faces.min()), int(mesh.faces.max())
+    low, high = (0, 0) if mesh.faces is None else map(int, mesh.faces.aminmax())
+    if not 0 <= low <= high < len(mesh.points):
         raise ValueError(f"{path}: expected faces of {len(mesh.points)} vertices, got {low} to {high}")
     return mesh
 
@@ -160,13 +158,15 @@ def _rows_of_obj(data: bytes) -> CloudFile:
 
 def _faces_of_obj(data: bytes, count: int) -> Tensor:
     """The triangles of the `f` lines of an .obj of `count` vertices, [F, 3]; several vertices may be at one place."""
-    triangles = []
-    for line in data.replace(b"\\\n", b" ").splitlines():
-        if line.startswith(b"f "):
-            first, *others = (int(corner.partition(b"/")[0]) for corner in line.split()[1:])
-            triangles += [(first, *edge) for edge in pairwise(others)]
-    faces = torch.tensor(triangles, dtype=torch.int64)
+    rows = [line.split()[1:] for line in data.replace(b"\\\n", b" ").splitlines() if line.startswith(b"f ")]
+    faces = _fans([[int(corner.partition(b"/")[0]) for corner in row] for row in rows])
     return torch.where(faces < 0, faces + count, faces - 1)  # from 1 on, or back from the last one
+
+
+def _fans(polygons: Sequence[Sequence[int]]) -> Tensor:
+    """The triangles [F, 3] of polygons, from the first corner of each."""
+    triangles = [(one[0], *edge) for one in polygons for edge in pairwise(one[1:])]
+    return torch.tensor(triangles, dtype=torch.int64).reshape(-1, 3)
 
 
 def _in_rows(mesh: CloudFile, own: CloudFile) -> CloudFile:
@@ -181,21 +181,25 @@ def _in_rows(mesh: CloudFile, own: CloudFile) -> CloudFile:
     return own._replace(colors=colors)
 
 
-def _colors_of_off(data: bytes, count: int, name: str) -> Tensor | None:
-    """The colours behind the positions (and normals) of an .off; those of faces are not read, which a warning tells."""
+def _read_off(data: bytes, name: str) -> CloudFile:
+    """An .off: colours stand behind the positions (and normals); those of faces are not read, which a warning tells."""
     lines = [line for line in (line.partition(b"#")[0].split() for line in data.splitlines()) if line]
     head = lines[0][0].upper()
     first = 1 if lines[0][1:] or head[-3:] != b"OFF" else 2  # the counts may stand behind the word OFF
+    count, told = map(int, lines[first - 1][-3:-1])
     rows, faces = lines[first : first + count], lines[first + count :]
-    if len(faces) != (told := int(lines[first - 1][-2])):  # trimesh drops them; edges have no rows
+    if (len(rows), len(faces)) != (count, told):  # edges have no rows
         raise ValueError(f"{name}: expected {told} rows of faces, as its head tells, got {len(faces)}")
     if any(len(face) > int(face[0]) + 1 for face in faces):
         warnings.warn(f"{name}: colours of faces are not read; those of vertices (COFF) are", stacklevel=4)
     width = min(map(len, rows), default=0)
-    values = np.array([row[3:width] for row in rows], np.float64)
+    values = np.array([row[:width] for row in rows], np.float64).reshape(len(rows), max(width, 3))
+    points, values = torch.from_numpy(values[:, :3]), values[:, 3:]
     is_first = b"NC" in head and width >= 9 and bool(values[:, :3].min() >= 0) and bool(values[:, :3].max() > 1)
     values = values[:, 3 * (b"N" in head[:-3] and not is_first) :][:, :3]  # NC of some programs: colours, then normals
-    return unit_colors(values) if values.shape[1] == 3 else None
+    triangles = _fans([[int(face[1 + at]) for at in range(int(face[0]))] for face in faces])
+    colors = unit_colors(values) if values.shape[1] == 3 else None
+    return CloudFile(points, colors, faces=triangles if len(triangles) else None)
 
 
 class MeshParts:
@@ -341,8 +345,7 @@ def _is_moved(material: dict[str, Any]) -> bool:
 def _check_numbers(tree: dict[str, Any], size: int) -> None:
     """Checks how many values the accessors have, and how many all meshes have together, each as often as it stands."""
     counts = [int(one["count"]) for one in tree.get("accessors", ())]
-    for count in counts:
-        bounds.check(count, size, "values in an accessor")
+    bounds.check(max(counts, default=0), size, "values in an accessor")
     bounds.check(sum(counts), size, "values in all accessors")
     sizes = [sum(counts[at] for one in mesh["primitives"] for at in _accessors(one)) for mesh in tree.get("meshes", ())]
     placed = sum(sizes[node["mesh"]] for node in tree.get("nodes", ()) if "mesh" in node)
@@ -357,9 +360,8 @@ def _accessors(primitive: dict[str, Any]) -> list[int]:
 
 def _content(one: dict[str, Any], parts: MeshParts) -> bytes:
     """The bytes of a buffer or an image: of a file, or of the text itself."""
-    uri = one["uri"]
-    place = uri.find("base64,")
-    return parts.get(uri) if place < 0 else base64.b64decode(uri[place + 7 :])
+    _, mark, text = one["uri"].partition("base64,")
+    return base64.b64decode(text) if mark else parts.get(one["uri"])
 
 
 def _chunks(data: bytes) -> list[tuple[int, bytes]]:

@@ -73,8 +73,7 @@ def read_pcd(path: Path) -> Pcd:
         fields = {name: np.ascontiguousarray(records[name]) for name in header.fields}
     else:
         fields = _read_compressed(path, body, header, dtype.itemsize * header.num_points)
-    named = {name: values for name, values in fields.items() if not name.startswith("_")}
-    return Pcd(header.width, header.height, named)
+    return Pcd(header.width, header.height, {name: one for name, one in fields.items() if not name.startswith("_")})
 
 
 def read_pcd_header(path: Path) -> PcdHeader:

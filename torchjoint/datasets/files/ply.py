@@ -407,8 +407,8 @@ class PlyRecords(NamedTuple):
 
     head: Sequence[bytes]  #: the lines of the header, with their ends
     header: Header
-    #: By element: bytes [rows, size] of a binary file, or lines [rows] of an ascii one, with their ends; an element
-    #: whose rows have lists of several lengths is one row, by another name, or missing if it is after the vertices.
+    #: By element: bytes [rows, size] of a binary file, or lines [rows] of an ascii one, with their ends; faces that are
+    #: no triangles, and other lists of several lengths in a binary file, have another name, or are in `rest`.
     records: Mapping[str, Array]
     rest: bytes  #: everything after the last element in `records`
 
@@ -487,11 +487,12 @@ def _records_of_lines(data: bytes, header: Header) -> tuple[dict[str, Array], by
     full = [element for element in header.elements if element.properties]
     if len(lines) != (expected := sum(element.rows for element in full)):
         raise ValueError(f"expected {expected} lines after the header, one a row, got {len(lines)}")
-    place, records = 0, {}
+    records, following = {}, iter(lines)
     for element in full:
-        records[element.name] = np.empty(element.rows, object)
-        records[element.name][:] = lines[place : place + element.rows]
-        place += element.rows
+        rows = [next(following) for _ in range(element.rows)]
+        columns = _ascii_rows(b"".join(rows), element) if element.name == "face" else {}
+        mixed = any(isinstance(v, Lists) and (v.lengths != 3).any() for k, v in columns.items() if k in _FACE_LISTS)
+        records["#" * mixed + element.name] = np.array(rows, object)
     return records, rest
 
 

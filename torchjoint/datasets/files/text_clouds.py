@@ -64,12 +64,17 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         return cloud_of_rows(rows, str(path), count is not None or path.suffix.lower() == ".pts")
 
 
-def with_column(path: Path, name: str, values: Sequence[int]) -> bytes:
-    """The text of a cloud with one more column, `name` in the line of names; its rows have no comments then."""
+def with_column(path: Path, name: str, values: Sequence[int], out: Path | None = None) -> bytes:
+    """The text of a cloud with one more column, `name` in the line of names; its rows have no comments then.
+
+    It is for `out`, whose suffix may give seven columns a meaning.
+    """
     with damage_is(str(path)):
         data = _as_utf8(read_file(path, "a point cloud as text"))
     start, _, names, _ = _preamble(data, str(path))
     head, rows = data[:start].splitlines(), data[start:].splitlines()
+    if names is None and (out or path).suffix.lower() == ".pts" and len(rows[0].split()) == 6:
+        raise ValueError(f"{path}: 7 columns of a .pts are x y z intensity r g b; give -o NAME.xyz for a label")
     mark = next((mark for mark in (b";", b",", b"\t") if mark in rows[0]), b" ")
     last = mark if rows[0].rstrip().endswith(mark) else b""  # it is no empty field then
     of_row = {place: numbers for place, row in enumerate(rows) if (numbers := re.split(rb"#|//", row)[0].rstrip())}
@@ -78,7 +83,8 @@ def with_column(path: Path, name: str, values: Sequence[int]) -> bytes:
     if names is not None:
         if name in names:
             raise ValueError(f"{path}: expected no column {name}, got one; choose another --name")
-        place, titles = max(line for line in enumerate(head) if all(one.encode() in line[1] for one in names))
+        place = max(at for at, line in enumerate(head) if all(one in line.decode("utf-8", "replace") for one in names))
+        titles = head[place]
         head[place] = titles.rstrip().removesuffix(mark) + (mark if mark in titles else b" ") + name.encode()
     return b"\n".join([*head, *rows, b""])
 
@@ -226,5 +232,4 @@ def cloud_of_letters(rows: Array, letters: str) -> CloudFile:
         raise ValueError(f"expected rows of {len(letters)} numbers, {letters!r}, got shape {list(rows.shape)}")
     normal = iter(("nx", "ny", "nz"))
     names = [next(normal) if letter == "n" else letter for letter in letters]
-    values = rows.astype(np.float64)
-    return cloud_of({name: values[:, place] for place, name in enumerate(names) if name in NAMES}, "rows")
+    return cloud_of({name: rows[:, at].astype(np.float64) for at, name in enumerate(names) if name in NAMES}, "rows")

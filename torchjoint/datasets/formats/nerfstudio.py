@@ -70,6 +70,8 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     if not shots:
         raise ValueError(f"{file}: frames: expected at least one, got none")
     no_twice((str(color) for color, _ in shots), f"{file}: frames: image")
+    depths = [frame.text("depth_file_path") for frame in frames if "depth_file_path" in frame]
+    no_twice(depths, f"{file}: frames: depth image")
     tell_unlisted(str(file), [color for color, _ in shots])
     names = frame_names([str(color) for color, _ in shots])
     return read_shots([shot._replace(name=name) for (_, shot), name in zip(shots, names, strict=True)])
@@ -80,9 +82,8 @@ def _shot(file: Path, frame: Record) -> tuple[Path, Shot]:
     named = [color, *(color.with_name(color.name + suffix) for suffix in _SUFFIXES)]
     color = next((one for one in named if has_file(one)), color)
     depth = _inside(file, frame, "depth_file_path") if "depth_file_path" in frame else None
-    for needed in (color, depth):
-        if needed is not None:
-            present(needed, f"an image that {frame.name} gives")
+    for needed in filter(None, (color, depth)):
+        present(needed, f"an image that {frame.name} gives")
     unit = frame.number("depth_unit_scale_factor") if "depth_unit_scale_factor" in frame else None
     if unit is not None and unit <= 0:
         raise ValueError(f"{frame.name}: depth_unit_scale_factor: expected the metres per unit, above 0, got {unit}")
@@ -92,7 +93,7 @@ def _shot(file: Path, frame: Record) -> tuple[Path, Shot]:
 
 
 def _read_depth(path: Path, unit: float | None) -> Tensor:
-    if path.suffix != ".npy":
+    if path.suffix.lower() != ".npy":
         return read_depth(path, 0.001 if unit is None else unit)
     values = read_array(path)
     if values.ndim == 3 and values.shape[2] == 1:
@@ -131,8 +132,7 @@ def read_camera(frame: Record, color: Path) -> Camera:
 
 def _focal_lengths(frame: Record, size: tuple[int, int]) -> tuple[float, float]:
     if "fl_x" in frame:
-        fl_x = frame.number("fl_x")
-        return fl_x, frame.number("fl_y", fl_x)
+        return frame.number("fl_x"), frame.number("fl_y", frame.number("fl_x"))
     if "camera_angle_x" not in frame:
         raise ValueError(f"{frame.name}: expected fl_x or camera_angle_x, got neither")
     fl_x = _focal_length(frame, "camera_angle_x", size[1])

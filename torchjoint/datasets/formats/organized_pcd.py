@@ -46,7 +46,7 @@ def recognizes(path: Path) -> bool:
 
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the organised clouds of a folder."""
-    return {file.stem: file for file in sorted(path.glob("*.pcd")) if or_unreadable(recognizes, file)}
+    return {file.stem: file for file in sorted(path.glob("*.[pP][cC][dD]")) if or_unreadable(recognizes, file)}
 
 
 def load(path: Path, options: Options) -> Scene:

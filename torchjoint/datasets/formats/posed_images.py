@@ -41,5 +41,5 @@ def _read_frames(path: Path) -> LazySequence[Frame]:
 
 
 def _images(path: Path) -> list[Path]:
-    files = (file for file in path.iterdir() if file.suffix == ".jpg" and file.stem.isascii() and file.stem.isdigit())
+    files = (file for file in path.glob("*.[jJ][pP][gG]") if file.stem.isascii() and file.stem.isdigit())
     return sorted_images(path, files)

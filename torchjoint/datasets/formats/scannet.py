@@ -74,7 +74,7 @@ COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
 
 def recognizes(path: Path) -> bool:
     if has_file(path):
-        return path.suffix == ".sens"
+        return path.suffix.lower() == ".sens"
     own = any(has_file(path / f"{path.name}{suffix}") for suffix in (".sens", CLOUD))
     exported = has_folder(path / "intrinsic") or has_file(path / f"{path.name}.txt")
     return own or (exported and has_frames(path))
@@ -82,7 +82,7 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: recording.Options) -> Scene:
     folder, scan = (path.parent, path.stem) if has_file(path) else (path, path.name)
-    frames = _read_frames(folder, scan)
+    frames = _read_frames(folder, scan, path if has_file(path) else path / f"{scan}.sens")
     instances, images = partial(vertex_instances, folder, scan), image_instances(folder, scan, frames)
     clouds = [folder / f"{scan}{CLOUD}"]
     return replace(
@@ -97,9 +97,9 @@ def scenes(path: Path) -> dict[str, Path]:
     return {one.name: one for one in folders if or_unreadable(recognizes, one)}
 
 
-def _read_frames(folder: Path, scan: str) -> recording.Frames:
-    if has_file(folder / f"{scan}.sens"):
-        stream = SensFile(folder / f"{scan}.sens")
+def _read_frames(folder: Path, scan: str, file: Path) -> recording.Frames:
+    if has_file(file):
+        stream = SensFile(file)
         cameras = SceneCameras(
             Calibration(stream.color_intrinsics, (stream.color_size,)),
             Calibration(stream.depth_intrinsics, (stream.depth_size,)),
