@@ -96,12 +96,10 @@ def test_a_map_of_many_sweeps_is_none():
 @pytest.mark.parametrize("domain", DOMAINS)
 def test_generated_scenes_are_none_wherever_the_origin_is(domain):
     pytest.importorskip("open3d")
-    for seed in range(2):
-        points = domain_cloud(domain, seed)
-        assert look_for_scan(points).is_scan == (domain == "street"), seed
-        if domain != "street":
-            middle = (points.amin(0) + points.amax(0)) / 2
-            assert not look_for_scan(points - middle).is_scan, seed
+    points = domain_cloud(domain, 0)
+    assert look_for_scan(points).is_scan == (domain == "street")
+    if domain != "street":
+        assert not look_for_scan(points - (points.amin(0) + points.amax(0)) / 2).is_scan
 
 
 def test_rooms_are_none(scene_of):
