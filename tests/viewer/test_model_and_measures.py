@@ -547,7 +547,7 @@ def test_every_mode_has_colours(model, mode):
     assert mode in model.modes
     assert "truth" not in model.modes
     model.mode = mode
-    assert point_colors(model).shape == (6000, 3)
+    assert point_colors(model).shape == (3000, 3)
     assert painted(model, 0, 0.5).shape == (120, 160, 3)
 
 
@@ -555,7 +555,7 @@ def test_the_table_sorts_and_searches(model, result):
     rows, count = model.rows()
     assert count == result.num_point_segments
     assert [row.points for row in rows] == sorted((row.points for row in rows), reverse=True)
-    assert sum(row.points for row in rows) == 6000
+    assert sum(row.points for row in rows) == 3000
     assert [row.key for row in model.rows(order="id")[0]] == list(range(count))
     assert rows[0].frames is None
     model.measures.read_frames()
@@ -604,7 +604,7 @@ def test_a_static_page_is_whole_and_upright(out, run, tmp_path, capsys):
     assert text.count("data:image/jpeg;base64,") == 6
     assert "<script src=" not in text  # needs no network
     assert len(text) < 600_000
-    assert "6000 points" in text
+    assert "3000 points" in text
     assert str(tmp_path / "page.html") in capsys.readouterr().out
     assert json.loads((out / "segments.json").read_text())["up"][2] > 0.99
 
