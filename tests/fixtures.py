@@ -1,7 +1,6 @@
 """What the tests share."""
 
 import functools
-import logging
 import os
 import sys
 import warnings
@@ -23,9 +22,6 @@ from torchjoint.views.visibility import Visible
 settings.register_profile("torchjoint", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("torchjoint")
 
-# pytest gives its handlers to each logger that does not propagate, six times in a test: with torch's forty, 7 ms.
-for logger in logging.root.manager.loggerDict.values():
-    logger.propagate = True
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     torch.set_num_threads(1)  # each processor has a worker
