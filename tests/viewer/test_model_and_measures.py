@@ -547,7 +547,7 @@ def test_every_mode_has_colours(model, mode):
     assert mode in model.modes
     assert "truth" not in model.modes
     model.mode = mode
-    assert point_colors(model).shape == (3000, 3)
+    assert point_colors(model).shape == (6000, 3)
     assert painted(model, 0, 0.5).shape == (120, 160, 3)
 
 
@@ -555,7 +555,7 @@ def test_the_table_sorts_and_searches(model, result):
     rows, count = model.rows()
     assert count == result.num_point_segments
     assert [row.points for row in rows] == sorted((row.points for row in rows), reverse=True)
-    assert sum(row.points for row in rows) == 3000
+    assert sum(row.points for row in rows) == 6000
     assert [row.key for row in model.rows(order="id")[0]] == list(range(count))
     assert rows[0].frames is None
     model.measures.read_frames()
@@ -604,7 +604,7 @@ def test_a_static_page_is_whole_and_upright(out, run, tmp_path, capsys):
     assert text.count("data:image/jpeg;base64,") == 6
     assert "<script src=" not in text  # needs no network
     assert len(text) < 600_000
-    assert "3000 points" in text
+    assert "6000 points" in text
     assert str(tmp_path / "page.html") in capsys.readouterr().out
     assert json.loads((out / "segments.json").read_text())["up"][2] > 0.99
 
@@ -612,7 +612,7 @@ def test_a_static_page_is_whole_and_upright(out, run, tmp_path, capsys):
 def test_a_run_in_memory_is_computed_again(scene_of):
     from torchjoint.viewer.shown import LiveRun
 
-    scene = scene_of(3).scene
+    scene = scene_of(3, num_points=6000).scene
     segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
     before = segmenter(scene)
     run = LiveRun(segmenter, scene)
@@ -643,7 +643,7 @@ def test_labels_so_far_change_nothing(scene_of):
     pytest.importorskip("viser")
     from torchjoint.viewer.live import labels_so_far
 
-    scene, config = scene_of(3).scene, tj.Config().set(["boundary.detector=gradient"])
+    scene, config = scene_of(3, num_points=6000).scene, tj.Config().set(["boundary.detector=gradient"])
     segmenter = tj.JointSegmenter(config)
     looks = [labels_so_far(segmenter, scene) for _ in segmenter.steps(scene, batch_size=3)]
     watched, plain = segmenter.compute(), tj.JointSegmenter(config)(scene)
