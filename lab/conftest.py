@@ -1,5 +1,6 @@
-"""The mark by which `make slow` finds the lab's tests."""
+"""The tests of the lab."""
 
 
 def pytest_itemcollected(item):
+    """Gives a test the mark by which `make slow` finds it."""
     item.add_marker("lab")
