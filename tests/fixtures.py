@@ -1,7 +1,6 @@
 """What the tests share."""
 
 import functools
-import gc
 import os
 import sys
 import warnings
@@ -26,11 +25,6 @@ settings.load_profile("torchjoint")
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     torch.set_num_threads(1)  # each processor has a worker
-
-
-def pytest_collection_finish() -> None:
-    """Garbage is not looked for among all tests and modules again and again."""
-    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
