@@ -20,7 +20,7 @@ APPLIED = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [-0.0, -1.0, -0.0, -0.0]]
 
 @pytest.fixture(scope="module")
 def synthetic(scene_of):
-    return scene_of(0)
+    return scene_of(3)
 
 
 def intrinsics_of(frame):

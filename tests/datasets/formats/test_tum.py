@@ -16,7 +16,7 @@ START = 1305031102.0
 
 @pytest.fixture(scope="module")
 def synthetic(scene_of):
-    return scene_of(0)
+    return scene_of(3)
 
 
 def write(folder, synthetic, *, cloud=True):
