@@ -50,16 +50,14 @@ def npy(shape: tuple[int, ...], dtype: str, data: bytes = b"") -> bytes:
 def npz(**arrays: bytes) -> bytes:
     """The bytes of an archive of .npy files."""
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, content in arrays.items():
             archive.writestr(f"{name}.npy", content)
     return stream.getvalue()
 
 
 def saved(**arrays: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
+    return npz(**{name: npy(array.shape, array.dtype.str, array.tobytes()) for name, array in arrays.items()})
 
 
 def rle(count: int, side: int, inside: bool) -> bytes:
@@ -91,7 +89,7 @@ def mat(count: int) -> bytes:
     name = b"abcdefgh"
     parts = struct.pack("<4I", 6, 8, 6, 0) + struct.pack("<2I2i", 5, 8, *shape) + struct.pack("<2I", 1, 8) + name
     numbers = struct.pack("<2I", 9, 8 * shape[0] * shape[1])
-    packer = zlib.compressobj(9)
+    packer = zlib.compressobj(1)
     packed = packer.compress(struct.pack("<2I", 14, 0) + parts + numbers)
     for _ in range(128):
         packed += packer.compress(bytes(1 << 20))

@@ -60,8 +60,8 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def scene_of() -> Callable[..., SyntheticScene]:
-    """`make_scene`, each scene made once. Tests leave what they get as it is."""
-    return functools.cache(make_scene)
+    """`make_scene` with 3,000 points, each scene made once. Tests leave what they get as it is."""
+    return functools.cache(functools.partial(make_scene, num_points=3000))
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,7 @@ def other_default(request):
 
 @pytest.fixture(scope="module")
 def scene(scene_of):
-    return scene_of(3, num_points=3000).scene
+    return scene_of(3).scene
 
 
 METHODS = ["learned", "paper", "scan"]
@@ -110,7 +110,7 @@ def test_a_recording_and_its_files(scene_of, tmp_path):
         export_npz(out / "export", tj.load_result(out))
         return {str(file.relative_to(out)): file.read_bytes() for file in out.rglob("*") if file.is_file()}
 
-    config, made = tj.Config().set(["boundary.detector=gradient"]), scene_of(3, num_points=3000)
+    config, made = tj.Config().set(["boundary.detector=gradient"]), scene_of(3)
     few = dataclasses.replace(made.scene, frames=made.scene.frames[:2], truth=None)
     write_folder(tmp_path / "recording", dataclasses.replace(made, scene=few))
     wanted = files(tmp_path / "wanted")

@@ -30,7 +30,7 @@ PAPER = tj.Config.from_preset("paper").set(["paper.min_size=20", "image_segments
 
 @pytest.fixture(scope="module")
 def synthetic(scene_of):
-    return scene_of(3, num_points=3000)
+    return scene_of(3)
 
 
 @pytest.fixture(scope="module", params=[CONFIG, PAPER], ids=["default", "paper"])

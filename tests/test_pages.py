@@ -57,7 +57,7 @@ def commands(page):
 @pytest.fixture(scope="module")
 def world(tmp_path_factory, scene_of):
     """A folder with all that the pages name."""
-    folder, scene = tmp_path_factory.mktemp("world"), scene_of(0, num_views=3)
+    folder, scene = tmp_path_factory.mktemp("world"), scene_of(3, num_views=3)
     write_truth(write_folder(folder / "recording", scene), scene)
     (folder / "masks").mkdir()
     for index, labels in enumerate(scene.image_labels):

@@ -13,7 +13,7 @@ METHODS = ["learned", "paper", "scan"]
 
 @pytest.fixture(scope="module")
 def scene(scene_of):
-    return scene_of(4, num_points=3000).scene
+    return scene_of(4).scene
 
 
 @pytest.fixture(scope="module")

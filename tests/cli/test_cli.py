@@ -69,9 +69,9 @@ def test_what_segment_writes(out, recording, synthetic):
     assert record["versions"]["torch"] == torch.__version__
     assert all(seconds >= 0 for seconds in record["seconds"].values())
 
-    overview = np.array(Image.open(out / "overview.png"))
-    assert overview.shape[0] > 500
-    assert len(np.unique(overview.reshape(-1, overview.shape[-1]), axis=0)) > 1000
+    overview = Image.open(out / "overview.png")
+    assert overview.height > 500
+    assert len(overview.getcolors(overview.width * overview.height)) > 1000
 
 
 def test_the_cloud_opens_elsewhere_with_colours_and_labels(out):

@@ -23,14 +23,14 @@ def recording(tmp_path_factory, scene_of):
 
 
 def test_the_last_result_is_written(recording, tmp_path, run, capsys):
-    run("live", recording, "-o", tmp_path / "out", "--voxel-size", "0.08", "--step", "0", "--every", "1")
+    run("live", recording, "-o", tmp_path / "out", "--voxel-size", "0.12", "--step", "0", "--every", "1")
     said = capsys.readouterr().out
     frames = tj.load_scene(recording).frames
     assert f"{len(frames)} frames, the slowest in" in said
     assert f"0 dropped; {len(frames)} keyframes" in said
     assert "things in" in said
     result = tj.load_result(tmp_path / "out")
-    segmenter = tj.LiveSegmenter(voxel_size=0.08, step=0)
+    segmenter = tj.LiveSegmenter(voxel_size=0.12, step=0)
     segmenter.update(list(frames))
     expected = segmenter.result()
     assert torch.equal(result.points, expected.segmentation.points)
@@ -39,7 +39,7 @@ def test_the_last_result_is_written(recording, tmp_path, run, capsys):
 
 def test_nothing_is_fused_before_it_plays(recording, tmp_path, run, monkeypatch):
     monkeypatch.setattr("torchjoint.datasets.recording.fuse_or_recall", lambda *_: pytest.fail("fused while loading"))
-    run("live", recording, "-o", tmp_path / "out", "--voxel-size", "0.08")
+    run("live", recording, "-o", tmp_path / "out", "--voxel-size", "0.12")
     assert len(tj.load_result(tmp_path / "out").scene.points) > 1000
 
 
@@ -49,13 +49,13 @@ def test_a_recording_that_changes_while_it_plays(recording, tmp_path, run, monke
     first, *_, last = sorted(changing.glob("*.color.png"))
     monkeypatch.setattr(tj.LiveSegmenter, "update", lambda *given: (shutil.copy(last, first), update(*given)))
     with pytest.warns(UserWarning, match="recording: changed while it was segmented; the result may be of both states"):
-        run("live", changing, "-o", tmp_path / "out", "--voxel-size", "0.08")
+        run("live", changing, "-o", tmp_path / "out", "--voxel-size", "0.12")
     monkeypatch.setattr(tj.LiveSegmenter, "update", update)
     monkeypatch.setattr(
         "torchjoint.cli.live.write_result", lambda *given, **named: (first.touch(), write_result(*given, **named))
     )
     with pytest.warns(UserWarning, match="recording: changed while it was segmented; the result may be of both states"):
-        run("live", changing, "-o", tmp_path / "more", "--voxel-size", "0.08")
+        run("live", changing, "-o", tmp_path / "more", "--voxel-size", "0.12")
 
 
 def test_wrong_poses_are_told_before_it_plays(recording, tmp_path, run, monkeypatch):
@@ -116,7 +116,7 @@ def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys)
     told = replace(tj.load_scene(recording, fuse=False), up=torch.tensor([0.0, 1, 0]))
     monkeypatch.setattr("torchjoint.cli.live.load_scene", lambda *_, **__: told)
     monkeypatch.setattr("torchjoint.cli.live.serve_until_interrupted", served.append)
-    options = ("--voxel-size", "0.08", "--show")
+    options = ("--voxel-size", "0.12", "--show")
     run("live", recording, "-o", tmp_path / "out", *options)
     names = [frame.name for frame in tj.load_scene(recording).frames]
     assert [one for one in shown if isinstance(one, str)] == names
@@ -135,7 +135,7 @@ def test_a_recording_of_rerun_is_written(recording, tmp_path, run):
     pytest.importorskip("rerun", reason="recordings of Rerun need rerun: pip install 'torchjoint[rerun]'")
     from rerun.chunk import RrdReader
 
-    options = ("--voxel-size", "0.08", "--every", "2", "--rerun", tmp_path / "a.rrd")
+    options = ("--voxel-size", "0.12", "--every", "2", "--rerun", tmp_path / "a.rrd")
     run("live", recording, "-o", tmp_path / "out", *options)
     numbers = {}
     for chunk in RrdReader(tmp_path / "a.rrd").stream():

@@ -179,7 +179,7 @@ def test_wrong_types_are_named(call, message):
 def test_reprs_are_short(scene_of):
     synthetic = scene_of(2)
     scene = synthetic.scene
-    assert repr(scene) == f"Scene({scene.name!r}: 6000 points, 6 frames, colors)".replace(
+    assert repr(scene) == f"Scene({scene.name!r}: 3000 points, 6 frames, colors)".replace(
         "colors)", "colors, truth)" if scene.truth is not None else "colors)"
     )
     assert repr(synthetic) == f"SyntheticScene({scene!r}, {len(synthetic.instance_names)} instances)"

@@ -76,7 +76,7 @@ def test_a_cloud_is_fused_and_kept(tmp_path, synthetic):
     assert torch.equal(scene.points, fresh.points)
     # The fused cloud lies on what the sensor measured: most points are near one of the synthetic cloud's.
     distance = torch.cdist(scene.points, synthetic.scene.points).amin(1)
-    assert distance.median() < 0.06
+    assert distance.median() < 0.08
 
 
 def test_frames_alone_are_loaded_without_fusing(tmp_path, synthetic, monkeypatch):

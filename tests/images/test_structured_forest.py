@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
 
@@ -206,7 +207,7 @@ class TestMakeBoundary:
         ):
             with pytest.raises((ValueError, RuntimeError), match=rf"{message}|call reset"):
                 use()
-        report = tj.batch(tmp_path / "scene", tmp_path / "batch", engine="loky:1", config=config)
+        report = tj.batch(tmp_path / "scene", tmp_path / "batch", engine=ThreadPoolExecutor(1), config=config)
         assert "got code, evil_module:Boundary" in report.failures["scene"]
         assert not (tmp_path / "ran").exists()
         with pytest.raises(ValueError, match="cannot be made"):

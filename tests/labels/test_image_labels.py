@@ -125,7 +125,7 @@ def test_better_than_painting_with_the_true_labels() -> None:
 
 
 def test_the_method_is_chosen_by_the_config(scene_of) -> None:
-    scene: Scene = scene_of(0).scene
+    scene: Scene = scene_of(3).scene
     segmenter = JointSegmenter(Config().set(["boundary.detector=gradient"]))
     by_paths = segmenter(scene)
     none, paper = torch.bincount(by_paths.points) < 0, segmenter.config.set(["point_segments.method=paper"])

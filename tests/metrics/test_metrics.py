@@ -234,7 +234,7 @@ def everything(pred, target):
     )
 
 
-@few_and_many(15, 100, data=partitions(), random=st.randoms(use_true_random=False))
+@few_and_many(15, 50, data=partitions(), random=st.randoms(use_true_random=False))
 def test_which_number_a_region_has_does_not_matter(data, random):
     def renumbered(labels, void):
         old = sorted(set(labels))
@@ -268,7 +268,7 @@ def test_swapping_the_sides_swaps_precision_and_recall(data, gammas):
     assert one == pytest.approx((other.symmetric, other.pred_by_target, other.target_by_pred), abs=1e-12)
 
 
-@few_and_many(15, 100, data=partitions())
+@few_and_many(15, 50, data=partitions())
 def test_everything_is_between_0_and_1_and_the_same_twice(data):
     pred, targets = torch.tensor(data[0]), [torch.tensor(target) for target in data[1]]
     values = everything(pred, targets)
@@ -276,7 +276,7 @@ def test_everything_is_between_0_and_1_and_the_same_twice(data):
     assert everything(pred, targets) == values
 
 
-@few_and_many(15, 100, data=partitions())
+@few_and_many(15, 50, data=partitions())
 def test_a_perfect_prediction_has_1_everywhere(data):
     target = torch.tensor(data[1][0])
     assert everything(target, target) == pytest.approx([1.0] * 11)

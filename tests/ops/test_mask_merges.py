@@ -42,7 +42,7 @@ def random_views(seed: int, num_regions: int, num_edges: int, num_frames: int) -
 
 @few_and_many(
     100,
-    600,
+    300,
     seed=st.integers(0, 2**32 - 1),
     num_regions=st.integers(1, 20),
     num_edges=st.integers(0, 40),

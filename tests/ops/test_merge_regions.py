@@ -38,7 +38,7 @@ def random_regions(seed: int, num_regions: int, num_edges: int) -> tuple[Tensor,
 
 @few_and_many(
     100,
-    600,
+    300,
     seed=st.integers(0, 2**32 - 1),
     num_regions=st.integers(1, 30),
     num_edges=st.integers(0, 60),
@@ -58,8 +58,8 @@ def test_the_twin(
 
 
 @few_and_many(
-    200,
-    2000,
+    100,
+    500,
     seed=st.integers(0, 2**32 - 1),
     num_regions=st.integers(4, 30),
     levels=st.sampled_from([2, 4, 1000]),

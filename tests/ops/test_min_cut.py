@@ -57,7 +57,7 @@ def cost(problem: Problem, side: np.ndarray) -> float:
     return float(capacity[side[edge_index[0]] != side[edge_index[1]]].sum() + sink[side].sum() + source[~side].sum())
 
 
-@few_and_many(150, 700, problem=problems())
+@few_and_many(100, 300, problem=problems())
 def test_equals_twin(problem: Problem) -> None:
     side, flow = min_cut(*problem)
     expected_side, expected_flow = min_cut_reference(*problem)

@@ -23,7 +23,7 @@ def random_regions(seed: int, num_regions: int, num_edges: int, levels: int) -> 
 
 @few_and_many(
     100,
-    600,
+    300,
     seed=st.integers(0, 2**32 - 1),
     num_regions=st.integers(1, 30),
     num_edges=st.integers(0, 60),
@@ -42,7 +42,7 @@ def test_the_twin(seed: int, num_regions: int, num_edges: int, levels: int, thre
 
 @few_and_many(
     100,
-    600,
+    300,
     seed=st.integers(0, 2**32 - 1),
     num_regions=st.integers(1, 60),
     levels=st.sampled_from([2, 4, 1000]),

@@ -547,8 +547,8 @@ def test_a_second_import_goes_on_from_the_first(run, tmp_path):
 @pytest.mark.parametrize("delimiter", [",", ";"])
 def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimiter):
     """A table as spreadsheets write it: rows left out and sorted, another delimiter, a byte order mark."""
-    config = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
-    scene, out, table = scene_of(3).scene, tmp_path / "out", tmp_path / "names.csv"
+    config = tj.Config().set(["point_segments.method=learned"])
+    scene, out, table = replace(scene_of(3).scene, frames=()), tmp_path / "out", tmp_path / "names.csv"
     out.mkdir()
     write_result(out, scene, tj.JointSegmenter(config)(scene), config, "test")
     run("export", out, "--format", "csv", "-o", table)

@@ -63,7 +63,7 @@ def test_a_result_without_levels(tmp_path, scene):
     assert read.hierarchy is None
     assert not (tmp_path / "out" / "pieces").exists()
     with pytest.raises(FileNotFoundError, match=r"hierarchy\.npz: missing; expected a result with all levels"):
-        read_hierarchy(tmp_path / "out", 6000)
+        read_hierarchy(tmp_path / "out", 3000)
 
 
 def test_superpoints_of_more_than_16_bits(tmp_path):
@@ -85,7 +85,7 @@ def test_superpoints_of_more_than_16_bits(tmp_path):
 class TestDamage:
     def test_of_other_points(self, tmp_path, scene, result):
         folder = written(tmp_path / "out", scene, result)
-        with pytest.raises(ValueError, match=r"hierarchy\.npz: expected a hierarchy of 5 points, got 6000"):
+        with pytest.raises(ValueError, match=r"hierarchy\.npz: expected a hierarchy of 5 points, got 3000"):
             read_hierarchy(folder, 5)
 
     @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken"])

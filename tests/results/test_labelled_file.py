@@ -32,7 +32,7 @@ def result_of(points, labels, colors=None):
 @pytest.fixture
 def splats(tmp_path, scene_of):
     """A room's cloud as splats, and 200 faint ones between them; the rows, and the true labels of the others."""
-    made, rng = scene_of(3), np.random.default_rng(0)
+    made, rng = scene_of(3, num_points=6000), np.random.default_rng(0)
     points = made.scene.points.numpy()
     floaters = rng.uniform(points.min(0), points.max(0), (200, 3))
     opacity = np.concatenate([rng.uniform(0.3, 0.99, len(points)), rng.uniform(0.01, 0.09, 200)])

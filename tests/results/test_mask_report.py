@@ -24,7 +24,7 @@ EVERYTHING = tj.masks.from_stack(torch.ones(1, 120, 160, dtype=torch.bool))
 
 @pytest.fixture(scope="module")
 def synthetic(scene_of):
-    return scene_of(0)
+    return scene_of(0, num_points=6000)
 
 
 def scene_with(synthetic, *masks):

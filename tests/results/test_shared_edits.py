@@ -152,15 +152,15 @@ while True:
 """
 
 
-def test_what_was_saved_survives_a_kill(out):
+@pytest.mark.parametrize("seconds", [pytest.param(0.003, marks=pytest.mark.slow), 0.011])
+def test_what_was_saved_survives_a_kill(out, seconds):
     """The viewer saves in this way. Who is killed while it saves loses no more than what it was saving."""
-    for seconds in (0.003, 0.011):
-        saving = subprocess.Popen([sys.executable, "-c", SAVING, str(out)], stdout=subprocess.PIPE, text=True)
-        told = saving.stdout.readline()
-        time.sleep(seconds)
-        saving.kill()
-        told = (told + saving.communicate()[0]).split()
-        steps = opened(out)[1].steps
-        assert len(steps) >= int(told[-1])
-        assert [step.name for step in steps] == [str(number) for number in range(len(steps))]
+    saving = subprocess.Popen([sys.executable, "-c", SAVING, str(out)], stdout=subprocess.PIPE, text=True)
+    told = saving.stdout.readline()
+    time.sleep(seconds)
+    saving.kill()
+    told = (told + saving.communicate()[0]).split()
+    steps = opened(out)[1].steps
+    assert len(steps) >= int(told[-1])
+    assert [step.name for step in steps] == [str(number) for number in range(len(steps))]
     assert tj.load_result(out).segment_names[0] == str(len(steps) - 1)

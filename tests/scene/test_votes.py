@@ -107,7 +107,7 @@ def test_wrong_votes(segments, size, message):
 
 
 def test_members_of_a_small_room(scene_of):
-    scene = scene_of(0).scene
+    scene = scene_of(3).scene
     result = tj.JointSegmenter()(scene)
     assert result.confidence.shape == (result.num_point_segments,)
     assert ((result.confidence > 0) & (result.confidence < 1)).all()

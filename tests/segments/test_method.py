@@ -26,7 +26,7 @@ def street():
 
 @pytest.fixture(scope="module")
 def room(scene_of):
-    return scene_of(0).scene
+    return scene_of(0, num_points=6000).scene
 
 
 def reset(config, points):

@@ -20,7 +20,7 @@ CONFIG = tj.Config.from_preset("paper")
 
 @pytest.fixture(scope="module")
 def synthetic(scene_of):
-    return scene_of(3)
+    return scene_of(3, num_points=6000)
 
 
 def segment_points(graph: PointGraph, state: Evidence, config: tj.Config) -> torch.Tensor:

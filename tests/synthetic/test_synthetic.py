@@ -13,8 +13,8 @@ TINY = {"num_views": 2, "height": 48, "width": 64, "num_points": 300}
 
 
 @pytest.fixture(scope="module")
-def noisy(scene_of):
-    return scene_of(3)
+def noisy():
+    return make_scene(3)
 
 
 @pytest.fixture(scope="module")

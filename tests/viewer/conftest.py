@@ -10,7 +10,7 @@ CONFIG = tj.Config().set(["point_segments.method=learned", "boundary.detector=gr
 
 @pytest.fixture(scope="package")
 def out(scene_of, tmp_path_factory):
-    scene = scene_of(3).scene
+    scene = scene_of(3, num_points=6000).scene
     folder = tmp_path_factory.mktemp("viewer") / "out"
     folder.mkdir()
     write_result(folder, scene, tj.JointSegmenter(CONFIG)(scene), CONFIG, "test")

@@ -628,7 +628,7 @@ def test_a_phone_in_the_dark(phone, viewer, monkeypatch):
 
 
 def test_the_truth_beside_a_prediction(tab, out, scene_of):
-    synthetic = scene_of(3)
+    synthetic = scene_of(3, num_points=6000)
     viewer = Viewer(with_truth(tj.load_result(out), synthetic.scene), port=8955)
     page = show(tab, viewer)
     wait(lambda: drawn(page) > 1000)
@@ -646,7 +646,7 @@ def test_the_truth_beside_a_prediction(tab, out, scene_of):
 
 
 def test_parameters_of_a_run_in_memory(tab, scene_of):
-    scene = scene_of(3).scene
+    scene = scene_of(3, num_points=6000).scene
     segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
     result = tj.Result.of(segmenter(scene), scene)
     viewer = Viewer(result, Shown(run=LiveRun(segmenter, scene)), port=8960)
@@ -660,7 +660,7 @@ def test_parameters_of_a_run_in_memory(tab, scene_of):
 
 
 def test_a_run_is_shown_while_its_frames_come(tab, scene_of, tmp_path):
-    scene, config = scene_of(3).scene, tj.Config().set(["boundary.detector=gradient"])
+    scene, config = scene_of(3, num_points=6000).scene, tj.Config().set(["boundary.detector=gradient"])
     live = LiveView(lambda url: None, share=1.0, port=8970)
     page, notes, colors, images = tab, [], [], []
 
@@ -707,7 +707,7 @@ def test_a_run_is_shown_while_its_frames_come(tab, scene_of, tmp_path):
 
 
 def test_the_cloud_grows_while_frames_come(tab, scene_of, tmp_path):
-    frames = scene_of(3).scene.frames
+    frames = scene_of(3, num_points=6000).scene.frames
     view, segmenter = GrowingView(lambda url: None, port=8980), tj.LiveSegmenter(voxel_size=0.04)
     segmenter.update(frames[:2])
     first = segmenter.result(images=False)

@@ -610,7 +610,7 @@ def test_a_static_page_is_whole_and_upright(out, run, tmp_path, capsys):
 def test_a_run_in_memory_is_computed_again(scene_of):
     from torchjoint.viewer.shown import LiveRun
 
-    scene = scene_of(3).scene
+    scene = scene_of(3, num_points=6000).scene
     segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
     before = segmenter(scene)
     run = LiveRun(segmenter, scene)
@@ -641,7 +641,7 @@ def test_labels_so_far_change_nothing(scene_of):
     pytest.importorskip("viser")
     from torchjoint.viewer.live import labels_so_far
 
-    scene, config = scene_of(3).scene, tj.Config().set(["boundary.detector=gradient"])
+    scene, config = scene_of(3, num_points=6000).scene, tj.Config().set(["boundary.detector=gradient"])
     segmenter = tj.JointSegmenter(config)
     looks = [labels_so_far(segmenter, scene) for _ in segmenter.steps(scene, batch_size=3)]
     watched, plain = segmenter.compute(), tj.JointSegmenter(config)(scene)

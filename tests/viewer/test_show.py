@@ -24,7 +24,7 @@ from torchjoint.viewer.truth import read_labelled_cloud, with_truth
 
 
 def test_the_truth_is_in_the_order_of_the_result(scene_of, tmp_path):
-    synthetic = scene_of(3)
+    synthetic = scene_of(3, num_points=6000)
     recording = write_folder(tmp_path / "recording", synthetic)
     write_truth(recording, synthetic)
     scene = tj.load_scene(recording)
@@ -47,7 +47,7 @@ def test_the_truth_is_in_the_order_of_the_result(scene_of, tmp_path):
 
 @pytest.mark.parametrize("suffix", [".ply", ".npz"])
 def test_superpoints_can_be_shown(run, scene_of, tmp_path, suffix):
-    cloud = scene_of(3).scene
+    cloud = scene_of(3, num_points=6000).scene
     np.savez(tmp_path / "cloud.npz", points=cloud.points.numpy(), colors=cloud.colors.numpy())
     out = tmp_path / f"out{suffix}"
     run("superpoints", tmp_path / "cloud.npz", "-o", out, "--no-picture")

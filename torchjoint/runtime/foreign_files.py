@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BufferedReader
+from itertools import chain
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -148,11 +149,9 @@ def _mode(path: Path) -> int | None:
 
 def _check_links(path: Path) -> None:
     """Raises if a path that leads nowhere does so because of a link: its own, or that of a folder on the way."""
-    for place in (path, *path.parents):
-        if os.path.islink(place) and not os.path.exists(place):
-            raise ValueError(f"{path}: cannot be read: {place} is a link to {os.readlink(place)}, which is not there")
-        if os.path.exists(place):
-            return
+    place = next(filter(os.path.lexists, chain((path,), path.parents)), path)  # mostly the first parent
+    if os.path.islink(place) and not os.path.exists(place):
+        raise ValueError(f"{path}: cannot be read: {place} is a link to {os.readlink(place)}, which is not there")
 
 
 def dict_of(pairs: Sequence[tuple[Any, Any]], what: str = "name") -> dict[Any, Any]:

@@ -22,7 +22,7 @@ NUMBERS = {
 
 @pytest.fixture(scope="module")
 def synthetic(scene_of):
-    return scene_of(0)
+    return scene_of(3)
 
 
 def pinhole_of(frame):

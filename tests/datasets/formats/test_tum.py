@@ -16,7 +16,7 @@ START = 1305031102.0
 
 @pytest.fixture(scope="module")
 def synthetic(scene_of):
-    return scene_of(0)
+    return scene_of(3)
 
 
 def write(folder, synthetic, *, cloud=True):
@@ -60,7 +60,7 @@ def test_a_recording_comes_back(folder, synthetic):
 def test_a_cloud_is_fused(tmp_path, synthetic):
     scene = tj.load_scene(write(tmp_path / "recording", synthetic, cloud=False), voxel_size=0.05)
     assert len(scene.points) > 1000
-    assert torch.cdist(scene.points, synthetic.scene.points).amin(1).median() < 0.06
+    assert torch.cdist(scene.points, synthetic.scene.points).amin(1).median() < 0.08
 
 
 def test_frames_are_read_when_they_are_asked_for(folder):

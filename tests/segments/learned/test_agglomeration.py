@@ -229,7 +229,7 @@ class TestMethod:
 
 def test_the_model_of_the_package_finds_what_stands_on_a_table():
     """The whole way with the model that is shipped, on a generated scene that it was not trained on."""
-    scene = make_domain_scene("table", 11, num_views=2).scene
+    scene = make_domain_scene("table", 11, num_views=2, num_points=5000).scene
     segmenter = tj.JointSegmenter()
     result = segmenter(scene)
     assert tj.metrics.mean_best_iou(result.points, scene.truth.points) > 0.5

@@ -35,7 +35,7 @@ def test_by_hand(data):
 
 
 def test_black_points_of_a_room_have_no_colour(scene_of):
-    scene = scene_of(0).scene
+    scene = scene_of(0, num_points=6000).scene
     black = torch.rand(len(scene.points), generator=torch.Generator().manual_seed(0)) < 0.1
     segmenter = tj.JointSegmenter()
     segmenter.reset(scene.points, scene.colors.masked_fill(black[:, None], 0))

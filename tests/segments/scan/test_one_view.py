@@ -96,16 +96,14 @@ def test_a_map_of_many_sweeps_is_none():
 @pytest.mark.parametrize("domain", DOMAINS)
 def test_generated_scenes_are_none_wherever_the_origin_is(domain):
     pytest.importorskip("open3d")
-    for seed in range(2):
-        points = domain_cloud(domain, seed)
-        assert look_for_scan(points).is_scan == (domain == "street"), seed
-        if domain != "street":
-            middle = (points.amin(0) + points.amax(0)) / 2
-            assert not look_for_scan(points - middle).is_scan, seed
+    points = domain_cloud(domain, 0)
+    assert look_for_scan(points).is_scan == (domain == "street")
+    if domain != "street":
+        assert not look_for_scan(points - (points.amin(0) + points.amax(0)) / 2).is_scan
 
 
 def test_rooms_are_none(scene_of):
-    points = scene_of(0).scene.points
+    points = scene_of(0, num_points=6000).scene.points
     assert not look_for_scan(points).is_scan
     assert not look_for_scan(points - (points.amin(0) + points.amax(0)) / 2).is_scan
 
@@ -132,7 +130,7 @@ def test_both_sides_of_a_floor_are_none(thickness):
 
 def test_depth_images_and_fused_clouds_are_none(shared):
     assert not look_for_scan(load_scene(shared / "data/ycb").points).is_scan
-    paths = sorted((shared / "data/mosd").glob("*.pcd"))[::5]
+    paths = sorted((shared / "data/mosd").glob("*.pcd"))[::9]
     assert paths
     for path in paths:
         points = load_scene(path).points

@@ -111,13 +111,9 @@ def test_a_generated_room_is_none():
 @pytest.mark.parametrize("domain", DOMAINS)
 def test_all_generated_scenes(domain):
     pytest.importorskip("open3d")
-    for seed in range(3):
+    for seed in range(2):
         points = domain_cloud(domain, seed)
         assert (find_rings(points) is not None) == (domain == "street"), seed
-
-
-def test_rooms_are_none(scene_of):
-    assert find_rings(scene_of(0).scene.points) is None
 
 
 @pytest.mark.slow
