@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from torchjoint.config import Config
 from torchjoint.images.boundary import make_boundary
-from torchjoint.images.contours import close_contours, outlines
+from torchjoint.images.contours import close_contours
 from torchjoint.images.pixel_graph import segment_image
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import parallel_map
@@ -67,7 +67,7 @@ class ImageSegmenter(nn.Module):
     """Computes boundaries and initial segments of frames of one size (steps 1 and 2).
 
     The segments are the frame's own masks or labels if it has them; otherwise those of `segmenter` if it is given;
-    otherwise those of the pixel graph. For masks the boundaries are their outlines; for other frames the detector runs.
+    otherwise those of the pixel graph, which also divides the pixels outside masks.
 
     Args:
         config: parameters.
@@ -97,8 +97,7 @@ class ImageSegmenter(nn.Module):
         """
         with stopwatch("image segments"):
             given = self._given(frames)
-        detected = [frame for frame, segments in zip(frames, given, strict=True) if not isinstance(segments, Masks)]
-        boundaries = self.detect(detected, stopwatch) if detected else torch.empty(0, dtype=torch.float32)
+        boundaries = self.detect(frames, stopwatch)
         with stopwatch("image segments"):
             return self._segment(frames, given, boundaries)
 
@@ -145,19 +144,17 @@ class ImageSegmenter(nn.Module):
     def _segment(
         self, frames: Sequence[Frame], given: Sequence[Masks | Tensor | None], boundaries: Tensor
     ) -> list[ImageSegments]:
-        """Segments frames; `boundaries` are those of the frames without masks, in their order."""
-        left = iter(boundaries)
-        own = [frame.image if isinstance(one, Masks) else next(left) for frame, one in zip(frames, given, strict=True)]
-
         def segment(job: tuple[Frame, Masks | Tensor | None, Tensor]) -> ImageSegments:
             frame, segments, boundary = job
-            if isinstance(segments, Masks):
-                return ImageSegments(outlines(segments.atom), segments.atom.long(), segments)
+            if isinstance(segments, Tensor):
+                return ImageSegments(boundary, segments, None)
+            own = segment_image(frame.image, boundary, self.config.image_graph, self.config.image_segments)
             if segments is None:
-                segments = segment_image(frame.image, boundary, self.config.image_graph, self.config.image_segments)
-            return ImageSegments(boundary, segments, None)
+                return ImageSegments(boundary, own, None)
+            masks = segments.divided(own)
+            return ImageSegments(boundary, masks.atom.long(), masks)
 
-        return parallel_map(segment, [*zip(frames, given, own, strict=True)])
+        return parallel_map(segment, [*zip(frames, given, boundaries, strict=True)])
 
 
 def _dense(labels: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import Config
+from torchjoint.images.contours import outlines
 from torchjoint.labels.geodesic import MIN_POINTS as SPECK
 from torchjoint.labels.geodesic import nearest_labels, path_costs
 from torchjoint.runtime.groups import best_of_groups, counted_pairs
@@ -80,9 +81,10 @@ def label_masks(
     markers = nearest_labels(seen.visible, point_labels, masks.size)
     # Labels of 3D segments spread. Ids that occur only in this image do not.
     whole = torch.where(of_pixel < len(unmasked), of_pixel, -1)
-    colors, outlines, color_weight, _ = path_costs(seen, config)
+    colors, _, color_weight, _ = path_costs(seen, config)
+    outline = outlines(torch.where(masks.covered(), masks.atom, -1))
     markers = torch.where(whole >= 0, whole, markers)
-    labels = ops.propagate_labels(markers, colors, outlines, color_weight, OUTLINE_WEIGHT, SPECK)
+    labels = ops.propagate_labels(markers, colors, outline, color_weight, OUTLINE_WEIGHT, SPECK)
     return torch.where(of_pixel >= 0, of_pixel, labels), len(unmasked) + num_private
 
 

@@ -209,6 +209,15 @@ class Masks:
         atom, mask = self.pairs[:, wanted[self.pairs[1]]]
         return best_of_groups(atom, mask, -self.areas()[mask], self.num_atoms)[0]
 
+    @on_cpu()
+    def divided(self, labels: Tensor) -> Masks:
+        """The same masks; pixels in none are in one atom only if they have one label, too; `labels`: [H, W], >= 0."""
+        members: list[list[int]] = [[] for _ in range(self.num_atoms + int(labels.max()) + 1)]
+        for atom, mask in self.pairs.t().tolist():
+            members[atom].append(mask)
+        atom = torch.where(self.covered(), self.atom, self.num_atoms + labels)
+        return self._of_members(atom, members, self.scores, self.ids, self.names)
+
     def resized(self, size: tuple[int, int]) -> Masks:
         """The masks of an image of another size (H, W), by the nearest pixel.
 

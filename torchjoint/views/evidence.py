@@ -42,9 +42,9 @@ class Evidence:
         overlap_sum: [E] float64, sum of the overlaps of eq. 5.
         facing: [N] int64: number of cameras on the side to which the point's normal points, minus the number of
             cameras on the other side.
-        contour_sum: [E] int32, sum of the boundary strengths x 255 between the two ends of an edge, over frames without
-            masks (method learned only).
-        contour_views: [E] int32, number of frames in this sum: those without masks that see both ends.
+        contour_sum: [E] int32, sum of the boundary strengths x 255 between the two ends of an edge, method learned
+            only.
+        contour_views: [E] int32, number of frames in this sum.
         observations: one per frame, in the order in which the frames were added.
     """
 
@@ -131,7 +131,7 @@ def observe_frame(
 ) -> FrameEvidence:
     """The visible points, the side of their normals, and the overlaps of eq. 5.
 
-    If the graph has scales and the frame no masks, also contours across edges, and lines across occluders.
+    If the graph has scales, also contours across edges; and lines across occluders, if the frame has no masks.
 
     Args:
         frame: image and camera.
@@ -152,10 +152,11 @@ def observe_frame(
         observation = Observation(
             frame.name, labels, visible, frame.intrinsics.float(), pose.float(), image, boundary, segments.masks
         )
-        if graph.scales is None or segments.masks is not None:
+        if graph.scales is None:
             return FrameEvidence(observation, facing, overlaps)
         contours = edge_contours(graph.adjacency, visible, boundary)
-        observation = replace(observation, lines=lines_across(visible, graph.scales.noise))
+        if segments.masks is None:
+            observation = replace(observation, lines=lines_across(visible, graph.scales.noise))
     return FrameEvidence(observation, facing, overlaps, contours)
 
 

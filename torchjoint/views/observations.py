@@ -75,11 +75,6 @@ class Observation:
         """Number of visible points."""
         return len(self.visible.point)
 
-    @property
-    def has_masks(self) -> bool:
-        """Whether the frame came with masks."""
-        return self.masks is not None
-
     def check(self, num_points: int) -> None:
         """Checks an observation that was read from a file, of a cloud of `num_points` points.
 
@@ -130,11 +125,6 @@ class PackedObservation:
     def num_points(self) -> int:
         """Number of visible points."""
         return self.parts["row"].shape[0]
-
-    @property
-    def has_masks(self) -> bool:
-        """Whether the frame came with masks."""
-        return "mask_pairs" in self.parts
 
     @property
     def is_offloaded(self) -> bool:
@@ -305,10 +295,6 @@ class Observations(Sequence[Observation]):
     def see_points(self) -> bool:
         """Whether any frame sees a point; nothing is unpacked."""
         return any(record.num_points for record in self._records)
-
-    def without_masks(self) -> Observations:
-        """The frames that came without masks."""
-        return self._of([record for record in self._records if not record.has_masks])
 
 
 def _packed(record: Observation | PackedObservation) -> PackedObservation:

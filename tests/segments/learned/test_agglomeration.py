@@ -15,7 +15,6 @@ from torchjoint.segments.learned.agglomeration import (
     COARSER,
     HEIGHT_STEP,
     WITH_IMAGES,
-    WITH_MASKS,
     build_hierarchy,
     merging_steps,
 )
@@ -171,7 +170,7 @@ class TestMethod:
         for given, packaged, height in (
             (bare, PACKAGED, ALONE),
             (scene, OF_IMAGES, WITH_IMAGES),
-            (masked, PACKAGED, WITH_MASKS),
+            (masked, OF_IMAGES, WITH_IMAGES),
             (grey_of(scene), PACKAGED, WITH_IMAGES),  # that model learned from grey scenes, too
         ):
             assert tj.JointSegmenter()(given).hierarchy.default == height

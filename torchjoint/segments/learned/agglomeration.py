@@ -22,10 +22,10 @@ from torchjoint.segments.learned.occluded_surfaces import continued_surfaces
 from torchjoint.segments.learned.small_regions import merges_by_contact
 from torchjoint.segments.learned.superpoint_graph import SuperpointGraph
 
-#: Height of the default level of a cloud alone, with images, and with masks, if the model has no higher threshold.
-#: Probabilities are too sure of borders on kinds of data that no training saw: at .5, where regions merge that more
-#: likely than not are one object, objects fall apart.
-ALONE, WITH_IMAGES, WITH_MASKS = 0.7, 0.6, 0.65
+#: Height of the default level of a cloud alone, and with images, if the model has no higher threshold. Probabilities
+#: are too sure of borders on kinds of data that no training saw: at .5, where regions merge that more likely than not
+#: are one object, objects fall apart.
+ALONE, WITH_IMAGES = 0.7, 0.6
 #: Thresholds of the rounds after that. At 1 all regions that touch have merged. There are several rounds, because the
 #: model judges larger regions again. They cost little, because few regions are left.
 COARSER = (0.8, 0.9, 1.0)
@@ -137,8 +137,7 @@ def merge_superpoints(superpoints: SuperpointGraph, steps: Sequence[Step], judge
 
 def last_levels(thresholds: Sequence[float], superpoints: SuperpointGraph) -> list[float]:
     """Height of the default level of a model with these thresholds, and of the coarser ones."""
-    height = WITH_MASKS if superpoints.masks is not None else ALONE if superpoints.images is None else WITH_IMAGES
-    default = max(*thresholds, height)
+    default = max(*thresholds, ALONE if superpoints.images is None else WITH_IMAGES)
     return [default, *(threshold for threshold in COARSER if threshold > default)]
 
 

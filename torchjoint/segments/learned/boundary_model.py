@@ -185,7 +185,7 @@ def _check_calibration(calibration: Tensor) -> None:
         raise ValueError("calibration: expected ascending x, and y that do not descend")
 
 
-#: The models that come with the package, in torchjoint/models/: for clouds alone and with masks, and with images.
+#: The models that come with the package, in torchjoint/models/: for clouds alone, and with images.
 PACKAGED, OF_IMAGES = "boundaries.npz", "boundaries-images.npz"
 #: Largest size of all arrays in a model's file, bytes. The packaged model takes less than 2 MB.
 LARGEST = 1 << 28

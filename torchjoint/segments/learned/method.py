@@ -46,8 +46,8 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
     if graph.scales is None:
         raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
     scales, observations = graph.scales, evidence.observations
-    colors, without_masks = measure_colors(graph, observations), len(observations.without_masks())
-    sees_images = 0 < without_masks == len(observations) and _has_hues(colors)
+    colors = measure_colors(graph, observations)
+    sees_images = len(observations) > 0 and _has_hues(colors)
 
     def copy(number: int) -> SuperpointGraph:
         return build_superpoint_graph(jittered(graph, scales, number) if number else graph, scales, evidence, colors)

@@ -125,9 +125,9 @@ class SuperpointGraph:
         boundaries: what is known about the edges between the superpoints of each pair.
         statistics: statistics of the superpoints' points.
         typical_color_step: median colour step of all edges, units of Lab; None without colours.
-        images: counts of points in image segments; None without images, or if all images have masks.
+        images: counts of points in image segments; None without images.
         masks: counts of points in masks; None without masks.
-        occlusions: pairs of superpoints on two sides of an occluder in the images; None as for `images`.
+        occlusions: pairs of superpoints on two sides of an occluder in the images; None without images, and with masks.
     """
 
     superpoint: Tensor

@@ -102,8 +102,6 @@ def build_superpoint_graph(
     normals, oriented = orient_normals(graph, evidence.facing)
     planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
     seen = evidence.observations
-    # Frames with masks are treated separately, because masks have a much larger weight (see mask_merges).
-    observations = seen.without_masks()
     r = disagreement(evidence.views, evidence.overlap_sum, OVERLAP_THRESHOLD) if seen else None
     lab, color_step, median = colors or measure_colors(graph, seen)
     cost = _edge_costs(crease_costs(graph.edge_index, planes, oriented, CONVEX_FACTOR), r, color_step, median)
@@ -116,12 +114,13 @@ def build_superpoint_graph(
     give_back_much(graph.num_points)
     if color_step is not None:
         measures["color_step"] = color_step[across]
-    if r is not None and observations:
+    if r is not None:
         total, views = evidence.contour_sum[across], evidence.contour_views[across]
         measures["contour"] = torch.where(views > 0, total.float() / (255 * views.clamp(min=1)), torch.nan)
         measures["disagreement"] = torch.where(evidence.views[across] > 0, r[across], torch.nan)
         measures |= {"seen": views > 0, "views": views}
     boundaries = Boundaries.of(pair, pairs.shape[1], measures)
+    masks = masks_of_superpoints(superpoint, seen)
     surface = Surface(graph.points, planes.normal, oriented, scales.noise, scales.spacing, lab)
     inner = _inner_edges(superpoint, graph.edge_index, normals, oriented, color_step)
     statistics = statistics_of_points(superpoint, surface, inner)
@@ -131,9 +130,9 @@ def build_superpoint_graph(
         boundaries,
         statistics,
         None if median is None else max(median, SMALLEST_TYPICAL),
-        segments_of_superpoints(superpoint, observations) if observations else None,
-        masks_of_superpoints(superpoint, seen),
-        find_occlusions(superpoint, statistics, graph.points, scales, observations) if observations else None,
+        segments_of_superpoints(superpoint, seen) if seen else None,
+        masks,
+        find_occlusions(superpoint, statistics, graph.points, scales, seen) if seen and masks is None else None,
     )
 
 
