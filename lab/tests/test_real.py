@@ -1,5 +1,6 @@
 """`torchjoint-lab real`: scores against a truth of some things, the sets, resuming, rivals, the table, the picture."""
 
+import dataclasses
 import json
 import shutil
 
@@ -79,6 +80,13 @@ class TestScenes:
         assert [one.masks for one in masked] == list(MASKS)
         frame = with_masks(plain.load(), "perfect masks", 0).frames[0]
         assert len(frame.masks) == 2
+
+    def test_masks_of_one_thing_leave_the_others_whole(self, shared):
+        (scene, truth), book = read_plain(shared / "data" / "real" / "shelf"), 19
+        images = zip(scene.frames, scene.truth.images, strict=True)
+        frames = [dataclasses.replace(frame, masks=torch.as_tensor(image) == book) for frame, image in images]
+        found = tj.JointSegmenter()(dataclasses.replace(scene, frames=frames, truth=None)).points
+        assert judge(found, truth).best_iou > 0.75  # .62 where only what has masks was divided by the images
 
     @pytest.mark.parametrize(("sets", "message"), [(("shelves",), "--sets"), (("tote",), "tote was not found")])
     def test_wrong_sets(self, data, sets, message):

@@ -1,11 +1,14 @@
 """Networks of the caller's: run in evaluation mode, and given back in the modes in which they came."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import nn
 
 import torchjoint as tj
-from torchjoint.images.segmenter import eval_mode
+from torchjoint.images.segmenter import ImageSegmenter, eval_mode
+from torchjoint.runtime.messages import Stopwatch
 
 
 class Network(nn.Module):
@@ -67,3 +70,17 @@ def test_a_network_in_eval_mode_stays_there():
     with eval_mode(network):
         assert not any(network.modes().values())
     assert not any(network.modes().values())
+
+
+def test_masks_leave_the_rest_of_the_image_to_the_pixel_graph(scene):
+    frame, given = scene.frames[0], torch.zeros(1, *scene.frames[0].size, dtype=torch.bool)
+    given[0, 20:60, 30:90] = True
+    segmenter = ImageSegmenter(tj.Config())
+    (own,), (found,) = (
+        segmenter([replace(frame, masks=masks)], Stopwatch()) for masks in (None, tj.Masks.from_stack(given))
+    )
+    assert torch.equal(found.boundary, own.boundary)
+    assert torch.equal(found.masks.stack(), given)
+    assert len(found.labels[given[0]].unique()) == 1
+    outside = torch.stack([found.labels[~given[0]], own.labels[~given[0]]])
+    assert len(outside.unique(dim=1).T) == len(outside[0].unique()) == len(outside[1].unique()) > 5

@@ -49,6 +49,13 @@ def test_of_nested_masks_the_smallest_is_shown() -> None:
     assert Masks.from_stack(torch.stack([part, whole])).labels().tolist() == [[0, 1, 1], [1, 1, 1]]
 
 
+def test_labels_divide_the_pixels_outside_masks() -> None:
+    masks = Masks.from_stack(torch.tensor([[[1, 1, 0, 0], [0, 1, 0, 0]], [[0, 1, 0, 0], [0, 0, 0, 0]]]).bool())
+    divided = masks.divided(torch.tensor([[0, 0, 0, 1], [2, 2, 0, 1]]))
+    assert divided.atom.tolist() == [[0, 1, 2, 3], [4, 0, 2, 3]]
+    assert torch.equal(divided.stack(), masks.stack())
+
+
 def test_a_frame_scales_masks_of_another_size() -> None:
     half = torch.tensor([[0, 0, 1], [0, -1, 1]])
     pass_through = frame(masks=torch.where(half < 0, -1, half + 1))
