@@ -58,7 +58,7 @@ PEAK_SHARE = 0.4
 #: Scans have .7 or more. In other clouds peaks are random, or alone: both sides of a floor, seen from its own height.
 SAME_STEP, REPEATED = 0.15, 0.6
 #: Smallest expected number of pairs in a bin of differences: with fewer, chance alone makes peaks.
-LEAST_PAIRS = 25.0
+LEAST_PAIRS = 50.0
 #: Smallest number of windows with points (8 windows are 40 degrees), and smallest number of points in such a window.
 LEAST_WINDOWS, LEAST_IN_WINDOW = 8, 8
 #: Smallest ratio of far to near ranges (95 % and 5 % quantiles): a sphere around the sensor is no scene.
