@@ -327,11 +327,11 @@ NAN = torch.full((30, 3), float("nan"))
 EDGES = torch.tensor([[0, 1], [1, 2]])
 ERRORS = [
     ({"points": [[0.0, 0, 0]]}, TypeError, "points: expected a torch.Tensor, got list"),
+    ({"points": POINTS.to_sparse()}, TypeError, "superpoints: expected dense tensors, got one of torch.sparse_coo"),
     ({"points": POINTS.long()}, TypeError, "points: expected a floating dtype, got torch.int64"),
     ({"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [30, 2]"),
     ({"points": POINTS[:0]}, ValueError, "points: expected at least one point, got an empty cloud"),
     ({"points": NAN}, ValueError, "points: 30 of 30 points are NaN or infinite"),
-    ({"points": POINTS / 0}, ValueError, "points: 30 of 30 points are NaN"),
     ({"points": POINTS + 1e13}, ValueError, "points: expected coordinates up to 1e+12, got 1e+13"),
     ({"colors": POINTS[:5]}, ValueError, "colors: expected shape [30, 3], got [5, 3]"),
     ({"colors": POINTS - 1}, ValueError, "colors: expected values in [0, 1] (or uint8)"),

@@ -114,6 +114,8 @@ def superpoints(
     """
     given: list[Any] = [points, colors, normals, edges, faces, ptr, viewpoint]
     given = [as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given]
+    if odd := [one.layout for one in given if isinstance(one, Tensor) and one.layout != torch.strided]:
+        raise TypeError(f"superpoints: expected dense tensors, got one of {odd[0]}")
     batch, valid = Batch(*given), None
     if drop_invalid or _has_beams(batch):
         valid, batch = without_invalid(batch, "drop" if drop_invalid else "keep")
@@ -218,8 +220,7 @@ def _local(cloud: Cloud, is_segmentator: bool) -> tuple[Cloud, Tensor | None]:
     Copies are merged only if the graph is computed here. Given edges and faces define which points are connected.
     """
     maps = []
-    ours = cloud.edges is None and cloud.faces is None
-    viewpoint = cloud.viewpoint
+    ours, viewpoint = cloud.edges is None and cloud.faces is None, cloud.viewpoint
     if ours:
         cloud, of_point = without_copies(cloud)
         maps.append(of_point)

@@ -68,11 +68,10 @@ class AddSuperpoints:
         preset: str | SuperpointsConfig = "default",
         **parameters: Unpack[SuperpointsParameters],
     ) -> None:
-        self.points = points
+        self.points, self.to = points, to
         self.names = {
             "colors": colors, "normals": normals, "faces": faces, "edges": edges, "ptr": ptr, "viewpoint": viewpoint
         }  # fmt: skip
-        self.to = to
         self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
         self.config = self.preset.replace(parameters)
         self.parameters = parameters

@@ -158,7 +158,7 @@ class TestMethods:
     def test_points_and_images(self, case, name):
         setting = SETTINGS.get(name, {})
         result = METHODS[name].run(case, setting, True)
-        assert result.points.shape == (6000,)
+        assert result.points.shape == (3000,)
         assert [tuple(image.shape) for image in result.images] == [frame.size for frame in case.frames]
         points_alone = METHODS[name].run(case, setting, False)
         assert len(points_alone.images) == 0
@@ -341,7 +341,7 @@ class TestSuites:
     def test_halves(self, data):
         assert list(SUITES["scannet"].scenes("tuning", data)) == ["scene1", "scene10"]
         assert list(SUITES["scannet"].scenes("checking", data)) == ["scene2"]
-        assert len(next(suites.load_all(SUITES["scannet"].scenes("checking", data))).points) == 6000
+        assert len(next(suites.load_all(SUITES["scannet"].scenes("checking", data))).points) == 3000
 
     def test_scans_of_one_room_stay_together(self, monkeypatch):
         names = ["scene0000_00", "scene0000_01", "scene0001_00", "scene0002_00", "scene0002_01", "scene0003_00"]

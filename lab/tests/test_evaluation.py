@@ -191,7 +191,7 @@ class TestPredictions:
     @pytest.mark.parametrize(
         ("name", "content", "message"),
         [
-            ("a.txt", "1 2 3", r"a\.txt: expected shape \[6000\], got \[3\]"),
+            ("a.txt", "1 2 3", r"a\.txt: expected shape \[3000\], got \[3\]"),
             ("a.txt", "1 x", r"a\.txt: expected a whole number for each point"),
             ("a.npy", "no", r"a\.npy: not a whole \.npy array"),
             ("a.csv", "1", r"a\.csv: expected labels of points, \.npy or \.txt"),
@@ -218,7 +218,7 @@ class TestPredictions:
             read_prediction(tmp_path, synthetic.scene)
 
     def test_results_of_some_points_in_any_order(self, tmp_path, synthetic):
-        some = torch.randperm(6000, generator=torch.Generator().manual_seed(0))[:500]
+        some = torch.randperm(3000, generator=torch.Generator().manual_seed(0))[:500]
         points, labels = synthetic.scene.points[some], synthetic.point_labels[some]
         np.savez(tmp_path / "points.npz", points=points.numpy(), labels=labels.numpy())
         read = read_prediction(tmp_path, synthetic.scene)
@@ -289,7 +289,7 @@ class TestCommand:
         points, labels = synthetic.scene.points[keep], synthetic.point_labels[keep]
         np.savez(tmp_path / "points.npz", points=points.numpy(), labels=labels.numpy())
         run_lab("evaluate", tmp_path, recording)
-        assert f"recording: the result has only {len(points)} of 6000 points" in capsys.readouterr().out
+        assert f"recording: the result has only {len(points)} of 3000 points" in capsys.readouterr().out
 
     def test_scenes_before_a_bad_one_are_not_lost(self, recording, synthetic, run_lab, tmp_path, capsys):
         data, results = tmp_path / "data", tmp_path / "results"
@@ -306,7 +306,7 @@ class TestCommand:
         np.save(results / "second.npy", np.zeros(3, int))
         with pytest.raises(SystemExit, match="exists already"):
             run_lab("evaluate", results, data, "-o", tmp_path / "scores")
-        with pytest.raises(SystemExit, match=r"second\.npy: expected shape \[6000\]"):
+        with pytest.raises(SystemExit, match=r"second\.npy: expected shape \[3000\]"):
             run_lab("evaluate", results, data, "-o", tmp_path / "scores", "--overwrite")
         assert "| first" in capsys.readouterr().out
         assert len((tmp_path / "scores" / "scores.csv").read_text().splitlines()) == 2

@@ -155,12 +155,33 @@ def test_a_protocol_needs_its_table_and_its_truth(scans, run_lab, tmp_path, scen
     run_lab("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannet200", "--label-table", tmp_path / "labels.tsv")
     with pytest.raises(SystemExit, match="--label-table: expected a --protocol"):
         run_lab("evaluate", tmp_path / "a.npy", scan, "--label-table", tmp_path / "labels.tsv")
+    file = scan / f"{SCAN}.aggregation.json"
+    groups = json.loads(file.read_text())["segGroups"]
+    file.write_text(json.dumps({"segGroups": [*groups, groups[0]]}))  # the same one again, as in a scan of ScanNet
+    counted(scene_of(2).point_labels, scan, "scannet200", tmp_path / "labels.tsv")
+    file.write_text(json.dumps({"segGroups": [*groups, groups[0] | {"label": "wall"}]}))
+    with pytest.raises(ValueError, match=r"aggregation\.json: objectId with two categories: 0 is there twice"):
+        counted(scene_of(2).point_labels, scan, "scannet200", tmp_path / "labels.tsv")
+    file.write_text(json.dumps({"segGroups": groups}))
     table.write_text("id\traw_category\n1\twall\n")
     with pytest.raises(SystemExit, match="expected columns raw_category and nyu40id; missing: nyu40id"):
         run_lab("evaluate", tmp_path / "a.npy", scan, "--protocol", "scannetv2")
     table.write_text("id\traw_category\tnyu40id\n1\twall\tone\n")
     with pytest.raises(ValueError, match="nyu40id: expected whole numbers"):
         counted(scene_of(2).point_labels, scan, "scannetv2", table)
+
+
+def test_a_scan_of_which_nothing_counts_is_left_out(scans, scene_of, run_lab, tmp_path, capsys):
+    file = scans / "scans" / SCAN / f"{SCAN}.aggregation.json"
+    groups = json.loads(file.read_text())["segGroups"]
+    file.write_text(json.dumps({"segGroups": [group | {"label": "wall"} for group in groups]}))
+    (tmp_path / "labels").mkdir()
+    for name in (SCAN, "scene0011_01"):
+        np.save(tmp_path / "labels" / f"{name}.npy", scene_of(2).point_labels.numpy())
+    run_lab("evaluate", tmp_path / "labels", scans, "--protocol", "scannetv2")
+    printed = capsys.readouterr().out
+    assert f"{SCAN}: has no ground truth and is left out" in printed
+    assert "| scene0011_01 |" in printed
 
 
 @pytest.fixture

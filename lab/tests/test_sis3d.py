@@ -141,7 +141,7 @@ def test_the_mesh_s_own_annotation_comes_first(root, synthetic):
     (root / "gt_insts" / f"{SCAN}.txt").write_text("1\n2\n")
     (root / "scans" / SCAN / f"{SCAN}.aggregation.json").unlink()
     with pytest.raises(
-        ValueError, match=r"gt_insts/scene0144_00\.txt: expected 6000 numbers, one for each vertex, got 2"
+        ValueError, match=r"gt_insts/scene0144_00\.txt: expected 3000 numbers, one for each vertex, got 2"
     ):
         load_scene(root)
 

@@ -88,11 +88,15 @@ def test_things_of_s3dis_whose_files_have_other_names(tmp_path):
 def test_a_lost_image_of_replica_moves_no_pose(tmp_path):
     path = samples.write("replica", tmp_path / "sample")
     second = sorted((path / "results").glob("frame*.jpg"))[1]
-    for number in (7, 8):
-        shutil.copy(second, second.with_name(f"frame{number:06d}.jpg"))
+    for file in (second, second.with_name("depth000001.png")):
+        for number in "78":
+            shutil.copy(file, file.with_name(file.name.replace("1", number)))
     lines = (path / "traj.txt").read_text().splitlines()
     (path / "traj.txt").write_text("\n".join([*lines, lines[-1]]) + "\n")
     with pytest.raises(ValueError, match=r"traj\.txt: frame 2 has no image, and 1 images have no pose"):
+        tj.load_scene(path)
+    (path / "traj.txt").write_text("\n".join([*lines, *lines]) + "\n")
+    with pytest.warns(UserWarning, match="numbers of images are missing; poses are taken in their order"):
         tj.load_scene(path)
 
 

@@ -172,6 +172,8 @@ class TestCoco:
             masks = tj.masks.from_coco([group, thing], (3, 4))
         assert_equal(masks, STACK[1:], [1])
         assert masks.ids == (1,)
+        with pytest.warns(UserWarning, match=r"annotations: ids that are no integers are not kept"):
+            assert tj.masks.from_coco([thing | {"id": "cup"}], (3, 4)).ids == ()
 
     @pytest.mark.parametrize(
         ("segmentation", "message"),

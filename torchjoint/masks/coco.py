@@ -40,6 +40,8 @@ def from_coco(
     masks = (_pixels(one, size, f"annotations[{index}]'s segmentation") for index, one in enumerate(annotations))
     found = merged(masks, len(annotations), size, scores, "annotations")
     ids = [one["id"] for one in annotations if isinstance(one.get("id"), int)]
+    if len(ids) < sum(one.get("id") is not None for one in annotations):
+        warnings.warn("annotations: ids that are no integers are not kept: masks.json has positions", stacklevel=3)
     names = [str(categories.get(one.get("category_id", -1), "")) for one in annotations] if categories else []
     return replace(found, ids=tuple(ids) if len(ids) == len(found) else (), names=tuple(names))
 

@@ -45,8 +45,7 @@ def rle_pixels(rle: Mapping[str, Any], name: str = "segmentation") -> tuple[tupl
         inside = np.repeat(np.arange(len(length)) % 2 == 1, length)
         return (height, width), np.flatnonzero(inside.reshape(width, height).T)
     end, length = np.cumsum(length)[1::2], length[1::2]
-    place = np.arange(length.sum()) + np.repeat(end - np.cumsum(length), length)
-    column, row = np.divmod(place, height)
+    column, row = np.divmod(np.arange(length.sum()) + np.repeat(end - np.cumsum(length), length), height)
     return (height, width), row * width + column
 
 
@@ -55,8 +54,7 @@ def declared_pixels(rle: Mapping[str, Any], name: str) -> int:
     counts = rle.get("counts", ())
     if isinstance(counts, (str, bytes)):
         return int(_uncompressed(counts, f"{name}'s counts")[1::2].sum())
-    is_list = isinstance(counts, Sequence) and all(map(_is_integer, counts))
-    return sum(counts[1::2]) if is_list else 0
+    return sum(counts[1::2]) if isinstance(counts, Sequence) and all(map(_is_integer, counts)) else 0
 
 
 def _uncompressed(text: str | bytes, name: str) -> npt.NDArray[np.int64]:

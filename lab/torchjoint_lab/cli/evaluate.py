@@ -20,6 +20,7 @@ from torchjoint_lab.cli.arguments import check_output
 from torchjoint_lab.evaluation.evaluate import evaluate as evaluate_prediction
 from torchjoint_lab.evaluation.evaluate import evaluate_levels, left_out
 from torchjoint_lab.evaluation.levels import level_table, write_levels
+from torchjoint_lab.evaluation.partial_truth import knows
 from torchjoint_lab.evaluation.predictions import Prediction, is_result, read_prediction
 from torchjoint_lab.evaluation.protocols import Name, counted, find_table
 from torchjoint_lab.evaluation.scores import Scores
@@ -66,7 +67,7 @@ def evaluate(
             loaded = load_scene(path, cloud=_kept_cloud(found, voxel_size), voxel_size=voxel_size)
             if protocol is not None and table is not None and loaded.truth is not None:
                 loaded = _with_truth_of(protocol, loaded, path, table)
-            if loaded.truth is None and len(scenes) > 1:
+            if len(scenes) > 1 and not (loaded.truth and knows(loaded.truth)):
                 scored.notes.append(f"{name}: has no ground truth and is left out")
             else:
                 scored.add(name, loaded, read_prediction(found, loaded))

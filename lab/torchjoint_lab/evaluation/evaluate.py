@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchjoint.scene import Scene
 from torchjoint_lab.evaluation.levels import score_levels
-from torchjoint_lab.evaluation.partial_truth import knows_points
+from torchjoint_lab.evaluation.partial_truth import knows, knows_points
 from torchjoint_lab.evaluation.predictions import Prediction
 from torchjoint_lab.evaluation.scores import Scores, score, score_images
 from torchjoint_lab.evaluation.table import Row
@@ -22,7 +22,7 @@ def evaluate(prediction: Prediction, scene: Scene, name: str, method: str = "") 
         ValueError: the scene has no ground truth for the predicted points or images, or sizes do not fit.
     """
     truth = scene.truth
-    if truth is None or not (knows_points(truth) or len(truth.images)):
+    if truth is None or not knows(truth):
         raise ValueError(f"{name}: expected a scene with ground truth, got one without")
     rows = []
     if prediction.points is not None and truth.points is not None:

@@ -21,6 +21,11 @@ def knows_points(truth: Truth) -> bool:
     return truth.points is not None and bool((truth.points >= 0).any())
 
 
+def knows(truth: Truth) -> bool:
+    """Whether it says anything of points or images."""
+    return knows_points(truth) or len(truth.images) > 0
+
+
 class PartialTruth(NamedTuple):
     """What is known about N points."""
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from torchjoint.datasets.files.text import read_record
 from torchjoint.datasets.formats.scannetpp import truth_files
 from torchjoint.datasets.truth import OBJECTS, object_id, point_instances
-from torchjoint.runtime.foreign_files import has_file, read_text
+from torchjoint.runtime.foreign_files import dict_of, has_file, read_text
 
 Name = Literal["scannetv2", "scannet200", "scannetpp"]
 #: The tables of labels that the downloads of ScanNet and ScanNet++ bring.
@@ -119,9 +119,10 @@ def counted(truth: Tensor, scan: Path, name: Name, table: Path) -> Tensor:
 
 
 def read_object_classes(objects_file: Path) -> dict[int, str]:
-    """Reads the raw category of each annotated object, by its objectId."""
+    """Reads the raw category of each annotated object, by its objectId. Some scans of ScanNet list an object twice."""
     groups = read_record(objects_file, "segments of objects").records("segGroups")
-    return {object_id(group): group.text("label") for group in groups}
+    found = dict.fromkeys((object_id(group), group.text("label")) for group in groups)
+    return dict_of([*found], f"{objects_file}: objectId with two categories:")
 
 
 def _counted_of_scannetpp(points: Tensor, scan: Path, table: Path) -> Tensor:

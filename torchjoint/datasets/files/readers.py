@@ -143,8 +143,7 @@ def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = Fal
         raise FileNotFoundError(f"{path} does not exist")
     path = path.absolute()  # a batch gives the same recording by a relative path and by the whole one
     if has_file(path) and path.suffix.lower() in ALONE and path.name != "predictions.npz":  # VGGT's has others beside
-        known = (str(path.resolve()), *_size_and_time(path, changed))
-        return hashlib.sha256(repr(known).encode()).hexdigest()
+        return hashlib.sha256(repr((str(path.resolve()), *_size_and_time(path, changed))).encode()).hexdigest()
     folder = path if has_folder(path) else path.parent
     left_out = {os.path.abspath(one) for one in without}
     is_scan = folder != path and path.suffix.lower() in (".bin", ".pcd", ".png")

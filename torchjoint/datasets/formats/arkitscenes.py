@@ -70,8 +70,7 @@ def _read_poses(file: Path, times: list[float]) -> list[Tensor | None]:
     """Camera-to-world poses at these times."""
     table = read_timed_rows(file, "7 numbers", 7)
     to_world = Rotation.from_rotvec(table[:, 1:4]).inv()
-    centers = -to_world.apply(table[:, 4:])
-    poses = np.concatenate([table[:, :1], centers, to_world.as_quat()], axis=1)
+    poses = np.concatenate([table[:, :1], -to_world.apply(table[:, 4:]), to_world.as_quat()], axis=1)
     return interpolate_poses(poses, np.array(times, dtype=np.float64), TOLERANCE, str(file))
 
 

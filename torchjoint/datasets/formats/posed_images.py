@@ -34,8 +34,7 @@ def load(path: Path, options: Options) -> Scene:
 
 def _read_frames(path: Path) -> LazySequence[Frame]:
     images = _images(path)
-    cameras = read_cameras(path / "intrinsic.txt", path / "depth_intrinsic.txt")
-    frames = frames_of(path, images, cameras, (path, path))
+    frames = frames_of(path, images, read_cameras(path / "intrinsic.txt", path / "depth_intrinsic.txt"), (path, path))
     frames.like_depth = r"\d"
     return frames
 

@@ -7,6 +7,8 @@ traj.txt                     a line for each frame (or the first ones): 16 numbe
 ../ROOM_mesh.ply             the cloud: its vertices (optional: fused from depth if absent)
 """
 
+import warnings
+from itertools import pairwise
 from pathlib import Path
 
 import torch
@@ -38,11 +40,13 @@ def load(path: Path, options: Options) -> Scene:
     images = sorted_images(folder, (one for one in folder.glob("frame*.jpg") if one.stem[5:].isdecimal()))
     if not 0 < len(poses) <= len(images):
         raise ValueError(f"{path / 'traj.txt'}: expected {len(images)} poses, one for each image, got {len(poses)}")
+    numbers = [int(image.stem[5:]) for image in images]
     if len(poses) < len(images):  # the first ones: those of the first numbers
-        numbers = [int(image.stem[5:]) for image in images]
         if lost := {*range(numbers[0], numbers[0] + len(poses))}.difference(numbers):
             told = f"frame {min(lost)} has no image, and {len(images) - len(poses)} images have no pose"
             raise ValueError(f"{path / 'traj.txt'}: {told}: expected a pose for each image")
+    elif len({second - first for first, second in pairwise(numbers)}) > 1:
+        warnings.warn(f"{path}: numbers of images are missing; poses are taken in their order", stacklevel=3)
     tell_left_out(str(path), len(images) - len(poses), len(images))
     shots = [
         Shot(image, camera, pose, image.stem, image.with_name(f"{image.stem.replace('frame', 'depth')}.png"), 1 / scale)

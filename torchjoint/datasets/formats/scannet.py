@@ -304,8 +304,7 @@ class SensFile:
         if len(data) != expected:
             raise ValueError(f"{name}: expected {expected} bytes, got {len(data)}")
         raw = np.frombuffer(data, dtype="<u2").reshape(self.depth_size)
-        metres = np.where(raw == 65535, 0, raw).astype(np.float32) / np.float32(self._depth_shift)
-        return torch.from_numpy(metres)
+        return torch.from_numpy(np.where(raw == 65535, 0, raw).astype(np.float32) / np.float32(self._depth_shift))
 
     def _read_header(self, file: BinaryFile) -> None:
         (version,) = file.read("I")
