@@ -61,10 +61,21 @@ def test_by_hand(tmp_path, synthetic):
     assert names_of_masks(tmp_path) == {0: "cup", 3: "floor"}
     inside = (60 * 60 + 10 * 20) / 4800
     assert found["segments"] == [
-        {"id": 0, "masked": round(inside, 4), "frames": 1, "names": {"cup": 1}},
+        {"id": 0, "masked": round(inside, 4), "frames": 1, "names": {"cup": 0.5}},
         {"id": 2, "masked": round(10 / 60, 4), "frames": 0, "names": {}},
     ]
     assert count_masks(tmp_path) == (1, 1, 2)  # the floor has no segment in the cloud
+
+
+def test_scores_decide_between_names(tmp_path, synthetic):
+    stack = torch.zeros(3, 120, 160, dtype=torch.bool)
+    stack[:, :60] = True  # a detector's doubles of one thing
+    masks = replace(tj.masks.from_stack(stack, [0.3, 0.9, 0.4]), names=("cup", "mug", "cup"))
+    labels = torch.ones(120, 160, dtype=torch.int64)
+    labels[:60] = 0
+    first, _ = report(tmp_path, scene_with(synthetic, masks, masks), [labels, labels])["segments"]
+    assert (first["frames"], first["names"]) == (2, {"mug": 1.8, "cup": 1.4})
+    assert names_of_masks(tmp_path)[0] == "mug"
 
 
 def test_frames_without_masks_do_not_count(tmp_path, synthetic):

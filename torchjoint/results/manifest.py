@@ -137,8 +137,7 @@ def _read(file: Path, record: Mapping[str, Any]) -> dict[str, list[Any]]:
 def _checksum(record: Mapping[str, Any]) -> str:
     """Of a run's record without its seconds, so that equal results have equal manifests."""
     timeless = {key: value for key, value in record.items() if key not in ("seconds", "thread_seconds")}
-    text = json.dumps(timeless, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(json.dumps(timeless, sort_keys=True, default=str).encode()).hexdigest()
 
 
 HIERARCHY, SUPERPOINTS = "hierarchy.npz", "pieces"

@@ -38,7 +38,8 @@ def write_mask_report(folder: Path, names: Sequence[str], found: Sequence[MaskMa
 
     `frames` has, for each mask of a frame, its id, name and score, its segment with their IoU in the frame, and its
     area in pixels. `segments` has, for each segment of the cloud that these frames show, the share of its pixels that
-    lie in masks, the number of frames in which it is a mask (IoU >= 0.5), and how often these masks have each name.
+    lie in masks, the number of frames in which it is a mask (IoU >= 0.5), and the scores of these masks, added up for
+    each name.
 
     Args:
         folder: the result.
@@ -53,13 +54,15 @@ def write_mask_report(folder: Path, names: Sequence[str], found: Sequence[MaskMa
         if one is not None
     ]
     shown, masked = (sum(getattr(one, name) for one in found if one is not None) for name in ("shown", "masked"))
-    good = [mask for frame in frames for mask in frame["masks"] if mask["iou"] >= FOUND]
-    times = Counter(mask["segment"] for mask in good)
+    good = [(index, mask) for index, frame in enumerate(frames) for mask in frame["masks"] if mask["iou"] >= FOUND]
     segments = []
     for segment in torch.nonzero(torch.as_tensor(shown)).flatten().tolist():
-        called = Counter(mask["name"] for mask in good if mask["segment"] == segment and mask["name"])
+        votes: Counter[str] = Counter()
+        for _, mask in (own := [one for one in good if one[1]["segment"] == segment]):
+            votes[mask["name"]] += mask["score"]
+        called = {name: round(vote, 4) for name, vote in votes.most_common() if name}
         share = round(int(masked[segment]) / int(shown[segment]), 4)
-        segments.append({"id": segment, "masked": share, "frames": times[segment], "names": dict(called.most_common())})
+        segments.append({"id": segment, "masked": share, "frames": len({index for index, _ in own}), "names": called})
     lines = [",\n".join(json.dumps(record) for record in records) for records in (frames, segments)]
     write_text(folder / FILE, f'{{"frames": [\n{lines[0]}\n], "segments": [\n{lines[1]}\n]}}\n')
 
@@ -109,7 +112,7 @@ def frames_with_masks(folder: Path) -> list[str]:
 
 
 def names_of_masks(folder: Path) -> dict[int, str]:
-    """The name that most masks of each segment have, of those that became it; nothing without masks.json.
+    """The name that most masks of each segment have by their scores, of those that became it; none without masks.json.
 
     A segment of an image alone has that of the mask that is most like it.
     """
