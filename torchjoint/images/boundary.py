@@ -86,8 +86,7 @@ class GradientBoundary(nn.Module):
 
     def _single(self, image: Tensor) -> Tensor:
         lab = smooth(to_lab(image[None].contiguous()), self.smoothing)
-        magnitude = _gradient(lab[0]).square_().sum(dim=(0, 1)).sqrt_()
-        return 1 - torch.exp(-magnitude / self.contrast)
+        return 1 - torch.exp(-_gradient(lab[0]).square_().sum(dim=(0, 1)).sqrt_() / self.contrast)
 
 
 def _gradient(values: Tensor) -> Tensor:
@@ -111,8 +110,7 @@ def make_boundary(config: BoundaryConfig, allow_import: bool = False) -> nn.Modu
     if config.detector == "gradient":
         return GradientBoundary()
     if config.detector == "structured_forest":
-        scales = MULTI_SCALE if config.multi_scale else (1.0,)
-        return StructuredForestBoundary(config.model, scales)
+        return StructuredForestBoundary(config.model, MULTI_SCALE if config.multi_scale else (1.0,))
     if not allow_import:
         told = f"boundary.detector: expected gradient or structured_forest, got code, {config.detector}"
         raise ValueError(f"{told}; allow_import=True imports it, if you trust it")

@@ -58,8 +58,7 @@ def suppress_non_maxima(boundary: Tensor) -> Tensor:
         vertical = torch.where(falls > 0, around[side, 0], around[-side, 0])
         corner = torch.where(falls > 0, around[side, side], around[-side, side])
         near = torch.lerp(boundary, around[0, side], right)  # lerp of two equal values is exact: plateaus are kept
-        far = torch.lerp(vertical, corner, right)
-        stays &= torch.lerp(near, far, down) <= boundary
+        stays &= torch.lerp(near, torch.lerp(vertical, corner, right), down) <= boundary
     return torch.where(stays, boundary, 0.0)
 
 
@@ -121,8 +120,7 @@ def close_contours(boundaries: Tensor, smoothing: float = SMOOTHING, exponent: f
             raise ValueError(f"boundaries: expected numbers in [0, 1], got others in image {index}")
 
     def close(boundary: Tensor) -> Tensor:
-        relief = smooth(boundary[None, None], smoothing)[0, 0]
-        return ops.ultrametric_contours(boundary, relief).pow_(exponent)
+        return ops.ultrametric_contours(boundary, smooth(boundary[None, None], smoothing)[0, 0]).pow_(exponent)
 
     return torch.stack(parallel_map(close, boundaries.float()))
 

@@ -62,8 +62,7 @@ def segment_image(image: Tensor, boundary: Tensor, graph: ImageGraphConfig, segm
     edges = grid_edges if boundary.numel() <= KEPT_PIXELS else grid_edges.__wrapped__
     edge_index = edges(*boundary.shape)
     weight = pixel_weights(image, boundary, graph)
-    labels = ops.felzenszwalb(edge_index, weight, boundary.numel(), segments.scale, segments.min_size)
-    return labels.view_as(boundary)
+    return ops.felzenszwalb(edge_index, weight, boundary.numel(), segments.scale, segments.min_size).view_as(boundary)
 
 
 def _neighbor_views(values: Tensor) -> list[tuple[Tensor, Tensor]]:

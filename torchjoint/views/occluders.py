@@ -36,8 +36,7 @@ class CoarseZBuffer(NamedTuple):
         cell = _cell_size(visible)
         row, column = visible.row // cell, visible.column // cell
         height, width = int(row.max()) + 1, int(column.max()) + 1
-        number = torch.arange(len(visible.z))
-        point, _ = best_of_groups(row * width + column, number, -visible.z, height * width)
+        point, _ = best_of_groups(row * width + column, torch.arange(len(visible.z)), -visible.z, height * width)
         return cls(cell, point.view(height, width))
 
 

@@ -353,8 +353,7 @@ class PoseCheck:
             if kind not in self._said:
                 self._said.add(kind)
                 is_doubt = kind in ("edges", "masks", "nearby", "channels", "off center")
-                category = PoseDoubt if is_doubt else PoseWarning
-                warnings.warn(f"{self._name}: {message}", category, stacklevel=4)
+                warnings.warn(f"{self._name}: {message}", PoseDoubt if is_doubt else PoseWarning, stacklevel=4)
         return given
 
     def _look(self, frame: Frame) -> _Look:

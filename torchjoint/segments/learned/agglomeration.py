@@ -97,18 +97,33 @@ def build_hierarchy(superpoints: SuperpointGraph, model: MergingModel) -> Hierar
         superpoints: the superpoints and what is known about their boundaries.
         model: gives the probability that two regions belong to different objects.
     """
-    steps = merging_steps(model.thresholds)
-    return merge_superpoints(superpoints, steps, lambda number, values, _: model.probability(number, values))
+    linkage = calibrated_linkage(superpoints, model)
+    return merge_superpoints(superpoints, merging_steps(model.thresholds), _judge_of(model), linkage)
 
 
-def merge_superpoints(superpoints: SuperpointGraph, steps: Sequence[Step], judge: Judge) -> Hierarchy:
-    """As :func:`build_hierarchy`, with any probabilities, and with these of the steps of :func:`merging_steps`."""
+def calibrated_linkage(superpoints: SuperpointGraph, model: MergingModel) -> MaskLinkage | None:
+    """The linkage of the masks after a first merging, which shows how far they contradict each other."""
+    linkage = MaskLinkage.of(superpoints.masks, superpoints.statistics.size)
+    if linkage is None:
+        return None
+    regions, merges = Regions(superpoints, torch.arange(len(superpoints))), Merges(len(superpoints))
+    first = _merge_in_steps(regions, _judge_of(model), merging_steps(model.thresholds), linkage.merges, merges)
+    return linkage.calibrated(first.of_superpoint)
+
+
+def _judge_of(model: MergingModel) -> Judge:
+    return lambda number, values, _: model.probability(number, values)
+
+
+def merge_superpoints(
+    superpoints: SuperpointGraph, steps: Sequence[Step], judge: Judge, linkage: MaskLinkage | None = None
+) -> Hierarchy:
+    """As :func:`build_hierarchy`, with any probabilities, these of the steps of :func:`merging_steps`; and masks."""
     merges, regions = Merges(len(superpoints)), Regions(superpoints, torch.arange(len(superpoints)))
     last, highest = steps[-1]
     default, *coarser = last_levels([highest], superpoints)
     above = [(last, threshold) for threshold in coarser]
     between = [(last, default)] if default > highest else []
-    linkage = MaskLinkage.of(superpoints.masks, superpoints.statistics.size)
     if linkage is None:
         regions = _merge_in_steps(regions, judge, steps, _by_probability, merges)
         if regions.graph.occlusions is not None:
@@ -120,9 +135,6 @@ def merge_superpoints(superpoints: SuperpointGraph, steps: Sequence[Step], judge
             regions = regions.merged(joined)
         _merge_in_steps(regions, judge, [*between, *above], _by_probability, merges)
         return merges.hierarchy(superpoints.superpoint, default)
-    # a first merging, which shows how far the masks contradict each other
-    first = _merge_in_steps(regions, judge, steps, linkage.merges, Merges(len(superpoints)))
-    linkage = linkage.calibrated(first.of_superpoint)
     regions = _merge_in_steps(regions, judge, steps, linkage.merges, merges)
     regions = _merge_step(regions, judge, steps[-1], linkage.merges_far, merges)
     regions = _merge_in_steps(regions, judge, [steps[-1]], linkage.merges_of_small, merges)

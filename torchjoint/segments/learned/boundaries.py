@@ -136,5 +136,4 @@ def _bins(values: Tensor, measure: str) -> Tensor:
     The bins are narrow where values are typical, and reach to infinity. All operations round alike on all machines.
     """
     lowest = _LOWEST.get(measure, 0.0)
-    share = (values / (values.abs() + MEASURES[measure]) - lowest) / (1 - lowest)
-    return (share * BINS).long().clamp_(0, BINS - 1)
+    return ((values / (values.abs() + MEASURES[measure]) - lowest) / (1 - lowest) * BINS).long().clamp_(0, BINS - 1)

@@ -26,7 +26,7 @@ from torchjoint.scene import Hierarchy
 from torchjoint.scene.hierarchy import Votes
 from torchjoint.segments.learned.agglomeration import (
     Merges,
-    build_hierarchy,
+    calibrated_linkage,
     last_levels,
     merge_superpoints,
     merging_steps,
@@ -127,7 +127,7 @@ class Ensemble:
 
 
 def build_consensus(copies: Sequence[SuperpointGraph], model: BoundaryModel) -> Hierarchy:
-    """The consensus of the trees of the members of an :class:`Ensemble`. With masks, each copy has one tree, of all.
+    """The consensus of the trees of the members of an :class:`Ensemble`.
 
     Args:
         copies: the superpoints and what is known about their boundaries, one or several times, each read once. Each
@@ -185,9 +185,9 @@ def segments_of_members(
         return copy
 
     def of_copy(number: int) -> list[list[Tensor]]:
-        if superpoints.masks is not None:
-            return _segments_by_masks(taken(number), model, levels, superpoints.superpoint)
         ensemble = Ensemble(model, slice(number, None, len(copies)))
+        if superpoints.masks is not None:
+            return _segments_by_masks(taken(number), ensemble, model, levels, superpoints.superpoint)
         cells, regions, after = _first_step(taken(number), ensemble, levels[0], superpoints.superpoint)
         done()
         return _segments(cells, regions, after, ensemble, model, levels)
@@ -198,12 +198,15 @@ def segments_of_members(
 
 
 def _segments_by_masks(
-    superpoints: SuperpointGraph, model: BoundaryModel, levels: Sequence[float], other: Tensor
+    superpoints: SuperpointGraph, ensemble: Ensemble, model: BoundaryModel, levels: Sequence[float], other: Tensor
 ) -> list[list[Tensor]]:
-    """For each level the segments of the one tree of all members, of other superpoints (as :func:`_first_step`)."""
-    tree = build_hierarchy(superpoints, model)
-    found = [tree.segments_of_superpoints(level) for level in levels]
-    return [[of_level] for of_level in _of_other_superpoints(found, superpoints.superpoint, other)]
+    """For each level the segments of each of the members, of other superpoints (as :func:`_first_step`)."""
+    trees, linkage = [], calibrated_linkage(superpoints, model)
+    for member in range(len(ensemble.weights)):
+        judge = partial(ensemble.probabilities, torch.full((len(superpoints),), member))
+        trees.append(merge_superpoints(superpoints, merging_steps(model.thresholds), judge, linkage))
+    of_levels = ([tree.segments_of_superpoints(level) for tree in trees] for level in levels)
+    return [_of_other_superpoints(found, superpoints.superpoint, other) for found in of_levels]
 
 
 def _first_step(

@@ -55,8 +55,7 @@ def levels_of(tree: Tree, apart: Tensor, count: int) -> Hierarchy:
     """All levels of `count` points; those that are in no superpoint of the tree are one segment, the ground."""
     superpoint = torch.zeros(count, dtype=torch.int64)
     superpoint[tree.which] = tree.superpoint + 1
-    num_superpoints = len(tree.parent) - len(tree.inner)
-    number = numbers_by_first_place(superpoint, num_superpoints + 1)
+    number = numbers_by_first_place(superpoint, len(tree.parent) - len(tree.inner) + 1)
     first = torch.arange(len(tree.parent)).where(tree.level == 0, len(tree.parent))[:, None]
     first = summed_up(first, tree.parent, tree.level, "amin").squeeze(1)  # a superpoint of each node
     parts = torch.nonzero(tree.parent >= 0).squeeze(1)

@@ -144,8 +144,7 @@ def grow_ground(
         nearer = found < way[some]
         some = some[nearer]
         way[some], nearest[some] = found[nearer], new[which[nearer]]
-        step = np.abs(z[left] - z[nearest])
-        near, fits = way <= hop[left], step <= GROUND_HEIGHT + slope * way
+        near, fits = way <= hop[left], np.abs(z[left] - z[nearest]) <= GROUND_HEIGHT + slope * way
         num_near = np.bincount(patch[near], minlength=count)
         joins = (num_near > 0) & (np.bincount(patch[near & fits], minlength=count) >= FITTING_SHARE * num_near)
         stays = ~joins[patch]

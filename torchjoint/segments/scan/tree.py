@@ -86,8 +86,7 @@ def summed_up(values: Tensor, parent: Tensor, level: Tensor, reduce: str = "sum"
     for number in range(1, len(LEVELS)):
         parts = torch.nonzero(parent >= 0).squeeze(1)
         parts = parts[level[parent[parts]] == number]
-        to = parent[parts, None].expand(-1, values.shape[1])
-        values.scatter_reduce_(0, to, values[parts], reduce)
+        values.scatter_reduce_(0, parent[parts, None].expand(-1, values.shape[1]), values[parts], reduce)
     return values
 
 
