@@ -80,7 +80,7 @@ def test_labels_and_weights(prepared):
     np.testing.assert_allclose(exact.weight, exact.weight[0])  # superpoints of one instance each count alike
     half = torch.where(torch.arange(len(superpoint)) % 2 == 0, superpoint, superpoint.max() + 1)
     mixed = boundary_examples.boundary_examples(evidence, own, half)
-    assert mixed.weight.min() < 0.5 * mixed.weight.max()  # than superpoints of several
+    assert mixed.weight.min() < 0.6 * mixed.weight.max()  # than superpoints of several
     void = boundary_examples.boundary_examples(evidence, own, torch.where(superpoint == 0, -1, superpoint))
     touches = (exact.pairs == 0).any(0).numpy()
     assert touches.any()

@@ -81,12 +81,15 @@ class TestScenes:
         frame = with_masks(plain.load(), "perfect masks", 0).frames[0]
         assert len(frame.masks) == 2
 
-    def test_masks_of_one_thing_leave_the_others_whole(self, shared):
-        (scene, truth), book = read_plain(shared / "data" / "real" / "shelf"), 19
+    @pytest.mark.filterwarnings("ignore:.*are no stronger at the borders of masks")  # the glue is white before white
+    @pytest.mark.parametrize("thing", [8, 19])
+    def test_masks_of_one_thing_leave_the_others_whole(self, shared, thing):
+        """Not where images with masks have no other segments (.62 for 19), or one tree has all members (.68 for 8)."""
+        scene, truth = read_plain(shared / "data" / "real" / "shelf")
         images = zip(scene.frames, scene.truth.images, strict=True)
-        frames = [dataclasses.replace(frame, masks=torch.as_tensor(image) == book) for frame, image in images]
+        frames = [dataclasses.replace(frame, masks=torch.as_tensor(image) == thing) for frame, image in images]
         found = tj.JointSegmenter()(dataclasses.replace(scene, frames=frames, truth=None)).points
-        assert judge(found, truth).best_iou > 0.75  # .62 where only what has masks was divided by the images
+        assert judge(found, truth).best_iou > 0.75
 
     @pytest.mark.parametrize(("sets", "message"), [(("shelves",), "--sets"), (("tote",), "tote was not found")])
     def test_wrong_sets(self, data, sets, message):
