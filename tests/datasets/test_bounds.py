@@ -146,6 +146,12 @@ class TestLittleMemory:
         with traps.ends(5), nullcontext() if suffix != ".pcd" else pytest.raises(ValueError, match="not a PCD file"):
             assert len(read_cloud_file(tmp_path / f"a{suffix}").points) == 1
 
+    def test_keys_for_all_frames(self, tmp_path):
+        keys = dict.fromkeys(map(str, range(3000)), 0)
+        (tmp_path / "transforms.json").write_text(json.dumps(keys | {"frames": [{}] * 3000}))
+        with pytest.raises(ValueError, match=r"transforms\.json: expected at most \d+ values of all frames"):
+            tj.load_scene(tmp_path)
+
     def test_masks_of_a_large_image(self, tmp_path):
         """60 small masks of 64 megapixels: a stack would take 4 GB."""
         side = bombs.SIDE
