@@ -80,7 +80,7 @@ def test_poses_without_images_are_told(name, images, tmp_path):
 
 def test_folders_beside_recordings(tmp_path):
     samples.write("folder", tmp_path / "1")
-    (tmp_path / "2").mkdir()
+    (tmp_path / "2" / "images").mkdir(parents=True)
     with pytest.warns(UserWarning, match="1 of 2 folders are of no known format, and are left out: 2"):
         assert [*tj.datasets.list_scenes(tmp_path)] == ["1"]
 

@@ -1,5 +1,6 @@
 """Readers of data on disk: `formats/` has the formats of data sets, `files/` the types of single files."""
 
+import os
 import warnings
 from collections import Counter
 from collections.abc import Mapping
@@ -136,7 +137,7 @@ def _find_scenes(path: Path) -> dict[str, Path]:
     inside = sorted(path.iterdir()) if has_folder(path) else []
     found = {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
     rest = [one for one in inside if one.name not in found and one.name[0] != "." and has_folder(one)]
-    left = [one.name for one in rest if not any((one / name).exists() for name in RESULTS)]
+    left = [one.name for one in rest if (names := set(os.listdir(one))) and RESULTS.isdisjoint(names)]
     if found and left:
         told = f"{path}: {len(left)} of {len(found) + len(left)} folders are of no known format, and are left out"
         warnings.warn(f"{told}: {', '.join(left[:9])}", stacklevel=4)

@@ -62,7 +62,7 @@ def load(path: Path, options: Options) -> Scene:
 def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     """Returns the frames of transforms.json, sorted by file name; each frame is read on access."""
     for_all = {key: value for key, value in record.values.items() if key != "frames"}
-    bounds.check(len(for_all) * len(record.records("frames")), bounds.PAIRS, "values of all frames", file.name)
+    bounds.check(len(for_all) * len(record.records("frames")), bounds.PAIRS, "values of all frames", str(file))
     shared = {key: value for key, value in for_all.items() if key not in _FOCAL}  # with a frame of its own focal length
     frames = [
         Record((for_all if _FOCAL.isdisjoint(frame.values) else shared) | dict(frame.values), frame.name)
