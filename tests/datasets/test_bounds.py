@@ -5,7 +5,7 @@ import os
 import re
 import sys
 import tracemalloc
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 
 import bombs
 import numpy as np
@@ -133,6 +133,24 @@ class TestLittleMemory:
             body += b"".join(bytes([len(face)]) + np.array(face, f"{order}i4").tobytes() for face in faces)
         (tmp_path / "a.ply").write_bytes(bombs.ply(*lines, body=body, encoding=encoding))
         assert read_ply(tmp_path / "a.ply").faces.tolist() == [[0, 1, 2], [1, 2, 3], [1, 3, 4]]
+
+    @pytest.mark.parametrize(
+        ("suffix", "content"),
+        [(".ply", bombs.ply(f"comment {'in ' * 50_000}", "element vertex 1", *bombs.VERTEX[1:], body=b"\0" * 12)),
+         (".xyz", b"#" + b"(" * 300_000 + b"\n1 2 3\n"), (".obj", b"\n" * 300_000 + b"v 1 2 3\n"),
+         (".pcd", "\n".join(f"{number:x}" for number in range(13_000)).encode())],
+    )  # fmt: skip
+    def test_many_lines_and_long_ones(self, suffix, content, tmp_path):
+        """Each took minutes: a search went through the rest of the file from each place."""
+        (tmp_path / f"a{suffix}").write_bytes(content)
+        with traps.ends(5), nullcontext() if suffix != ".pcd" else pytest.raises(ValueError, match="not a PCD file"):
+            assert len(read_cloud_file(tmp_path / f"a{suffix}").points) == 1
+
+    def test_keys_for_all_frames(self, tmp_path):
+        keys = dict.fromkeys(map(str, range(3000)), 0)
+        (tmp_path / "transforms.json").write_text(json.dumps(keys | {"frames": [{}] * 3000}))
+        with pytest.raises(ValueError, match=r"transforms\.json: expected at most \d+ values of all frames"):
+            tj.load_scene(tmp_path)
 
     def test_masks_of_a_large_image(self, tmp_path):
         """60 small masks of 64 megapixels: a stack would take 4 GB."""

@@ -78,6 +78,13 @@ def test_poses_without_images_are_told(name, images, tmp_path):
         tj.load_scene(path)
 
 
+def test_folders_beside_recordings(tmp_path):
+    samples.write("folder", tmp_path / "1")
+    (tmp_path / "2" / "images").mkdir(parents=True)
+    with pytest.warns(UserWarning, match="1 of 2 folders are of no known format, and are left out: 2"):
+        assert [*tj.datasets.list_scenes(tmp_path)] == ["1"]
+
+
 def test_things_of_s3dis_whose_files_have_other_names(tmp_path):
     path = samples.write("s3dis", tmp_path / "sample")
     (path / "Annotations" / "chair_1.txt").rename(path / "Annotations" / "arm-chair_1.txt")

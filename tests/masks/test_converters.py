@@ -307,8 +307,9 @@ class TestFiles:
             Image.fromarray(mask.numpy().astype(np.uint8) * 255).save(tmp_path / f"{number}.png")
         assert_equal(tj.masks.read_masks(tmp_path), STACK, [1, 1])
         table = tmp_path / "metadata.csv"
-        table.write_text("id,area,predicted_iou,stability_score\n2,4,0.5,0.8\n10,4,1.02,1.0\n")
-        assert_equal(tj.masks.read_masks(tmp_path), STACK, [0.4, 1])
+        table.write_text("id, area, predicted_iou, stability_score\n2,4,0.5,0.8\n10,4,1.02,1.0\n11,4,1,1\n")
+        with pytest.warns(UserWarning, match=r"metadata\.csv: 1 of its masks have no PNG: 11"):
+            assert_equal(tj.masks.read_masks(tmp_path), STACK, [0.4, 1])
         table.write_text("id,area,predicted_iou,stability_score\n2,4,0.5,0.8\n")
         with pytest.raises(ValueError, match=r"metadata.csv: expected a line with id 10"):
             tj.masks.read_masks(tmp_path)
@@ -317,6 +318,10 @@ class TestFiles:
             tj.masks.read_masks(tmp_path)
         table.write_text("id,area,predicted_iou,stability_score\n2,4,nan,0.8\n10,4,1.02,1.0\n")
         with pytest.raises(ValueError, match=rf"{re.escape(str(tmp_path))}: .*' scores"):
+            tj.masks.read_masks(tmp_path)
+        (tmp_path / "02.png").write_bytes((tmp_path / "2.png").read_bytes())
+        table.unlink()
+        with pytest.raises(ValueError, match="mask 2 is there twice"):
             tj.masks.read_masks(tmp_path)
 
     def test_masks_of_one_bit_a_pixel(self, tmp_path):

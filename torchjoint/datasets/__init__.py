@@ -1,11 +1,14 @@
 """Readers of data on disk: `formats/` has the formats of data sets, `files/` the types of single files."""
 
+import os
+import warnings
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.readers import RESULTS
 from torchjoint.datasets.formats import FORMATS, Format
 from torchjoint.datasets.fusion import fuse_cloud
 from torchjoint.datasets.recording import Options
@@ -132,7 +135,13 @@ def _find_scenes(path: Path) -> dict[str, Path]:
         if found:
             return found
     inside = sorted(path.iterdir()) if has_folder(path) else []
-    return {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
+    found = {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
+    rest = [one for one in inside if one.name not in found and one.name[0] != "." and has_folder(one)]
+    left = [one.name for one in rest if (names := set(os.listdir(one))) and RESULTS.isdisjoint(names)]
+    if found and left:
+        told = f"{path}: {len(left)} of {len(found) + len(left)} folders are of no known format, and are left out"
+        warnings.warn(f"{told}: {', '.join(left[:9])}", stacklevel=4)
+    return found
 
 
 def _is_folder_of_scene(path: Path) -> bool:

@@ -137,6 +137,7 @@ def _read_pngs(path: Path) -> Masks:
     scores = torch.tensor(_scores(path / METADATA, stems) or [1.0] * len(files), dtype=torch.float32)
     names = tuple("" if stem.isdecimal() else stem for stem in stems)  # SAM's numbers are no names
     ids = tuple(map(int, stems)) if all(stem.isdecimal() and len(stem) < 19 for stem in stems) else ()
+    dict_of([*zip(ids, files, strict=False)], f"{path}: mask")  # 1.png and 01.png
     return replace(merged(map(_read_png, files), len(files), None, scores, path.name), ids=ids, names=names)
 
 
@@ -151,10 +152,12 @@ def _scores(path: Path, ids: list[str]) -> list[float] | None:
     if not has_file(path):
         return None
     try:
-        table = csv.DictReader(read_text(path, "scores of masks").split("\n"))
+        table = csv.DictReader(read_text(path, "scores of masks").split("\n"), skipinitialspace=True)
         rows = dict_of([(row.get("id"), row) for row in table], f"{path}: mask")
     except csv.Error as error:
         raise ValueError(f"{path}: expected a table: {error}") from error
+    if lost := sorted(map(str, rows.keys() - {*ids})):
+        warnings.warn(f"{path}: {len(lost)} of its masks have no PNG: {_listed(lost)}", stacklevel=2)
     scores = []
     for name in ids:
         if name not in rows:

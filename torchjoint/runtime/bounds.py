@@ -8,7 +8,7 @@ a large file may hold more.
 PIXELS = 64_000_000
 #: Pixels inside all masks of one image together, or around its polygons.
 INSIDE = 1 << 29
-#: Masks of one image; and pairs of a mask and an atom in it, which nested masks have many of.
+#: Masks of one image; pairs of a mask and an atom in it, of which nested masks have many; or of a frame and a key.
 MASKS, PAIRS = 1 << 16, 1 << 22
 #: Rows of all edges of an image's polygons together: each row that an edge crosses takes a step.
 EDGE_ROWS = 1 << 26

@@ -65,7 +65,7 @@ def test_open3d_reads_what_it_writes(tmp_path, dtype):
 @pytest.mark.parametrize(
     ("comment", "told"),
     [("comment units mm", "units mm"), ("obj_info Unit: Millimeters", "Unit: Millimeters"),
-     ("comment all lengths are in feet", "lengths are in feet"), ("comment units m", None),
+     ("comment lengths are in US survey feet", "lengths are in US survey feet"), ("comment units m", None),
      ("comment VCGLIB generated", None), ("comment made in Cmkin 3", None), ("comment units: metres", None)],
 )  # fmt: skip
 def test_lengths_that_are_no_metres(tmp_path, comment, told):

@@ -46,8 +46,8 @@ NOT_READ = re.compile(
 )
 
 #: What a comment says of lengths that are no metres.
-NO_METRE = re.compile(rb"^(?:comment|obj_info|#|/).*?\b((?:units?|lengths?|scale|in)\b[^\w\n]{0,3}(?:of |are |is |in )*"
-                      rb"(?:[cmk]m|(?:milli|centi|kilo)met\w+|f(?:ee|oo)?t|inch\w*))\b", re.I | re.M)  # fmt: skip
+NO_METRE = re.compile(rb"^(?:comment|obj_info|#|/).*?\b((units?|lengths?|scale|in)\b[^\w\n]{0,3}(of |are |is |in ){0,3}"
+    rb"([cmk]m|(milli|centi|kilo)met\w+|(us[- ]?)?(survey )?f(ee|oo)?t|inch\w*))\b", re.I | re.M)  # fmt: skip
 
 #: Normals that are shorter have no direction. If more than this share of a column's values is wrong, it is left out.
 SHORTEST, MOST_WRONG = 1e-3, 0.5

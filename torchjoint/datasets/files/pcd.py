@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain, typed
 from torchjoint.datasets.files.text import parse_integer
-from torchjoint.runtime.foreign_files import damage_is, no_twice, open_file, read_file
+from torchjoint.runtime.foreign_files import damage_is, dict_of, open_file, read_file
 
 #: Largest size of a header, bytes; real headers have a few hundred bytes.
 MAX_HEADER = 65536
@@ -83,16 +83,16 @@ def read_pcd_header(path: Path) -> PcdHeader:
 
 
 def _parse_header(path: Path, start: bytes) -> PcdHeader:
-    entries: dict[str, list[str]] = {}
+    lines: list[tuple[str, list[str]]] = []
     size = 0
     for line in start.splitlines(keepends=True):
         size += len(line)
         words = line.removeprefix(b"\xef\xbb\xbf").decode("ascii", errors="replace").split()
         if words and not words[0].startswith("#"):
-            no_twice((*entries, words[0]), f"{path}: line")
-            entries[words[0]] = words[1:]
-        if "DATA" in entries:
+            lines.append((words[0], words[1:]))
+        if words[:1] == ["DATA"]:
             break
+    entries = dict_of(lines, f"{path}: line")
     with damage_is(f"{path}: not a PCD file, or its header is damaged"):
         names, types, (encoding,) = entries["FIELDS"], entries["TYPE"], entries["DATA"]
         entries.setdefault("COUNT", ["1"] * len(names))

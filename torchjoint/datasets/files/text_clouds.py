@@ -22,7 +22,7 @@ from torchjoint.scene.checks import tell_half
 
 SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
 #: A unit behind the name of a column: x [m], x (m); one of places that is no metre.
-_UNIT = re.compile(r"\[[^]]*\]|\([^)]*\)")
+_UNIT = re.compile(r"\[[^][]*\]|\([^()]*\)")
 _UNITS = rb"([cmk]|milli|centi)m\w*|(us[- ]?)?(survey )?f(ee|oo)?t|in|inch\w*|deg\w*"
 _COLUMN_UNIT = re.compile(rb"\b([xyzenh]|easting|northing|elevation|height) ?[\[(] ?(" + _UNITS + rb") ?[\])]", re.I)
 #: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.

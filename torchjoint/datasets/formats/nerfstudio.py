@@ -28,6 +28,7 @@ from torchjoint.datasets.cameras import Camera, pinhole_matrix, world_to_camera
 from torchjoint.datasets.files.readers import read_array, read_depth, read_image_size
 from torchjoint.datasets.files.text import Record, frame_names, path_inside, read_record
 from torchjoint.datasets.recording import Options, Shot, find_cloud, read_shots, scene_of_frames, tell_unlisted
+from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, present
 from torchjoint.scene import Frame, Scene
 
@@ -61,6 +62,7 @@ def load(path: Path, options: Options) -> Scene:
 def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     """Returns the frames of transforms.json, sorted by file name; each frame is read on access."""
     for_all = {key: value for key, value in record.values.items() if key != "frames"}
+    bounds.check(len(for_all) * len(record.records("frames")), bounds.PAIRS, "values of all frames", str(file))
     shared = {key: value for key, value in for_all.items() if key not in _FOCAL}  # with a frame of its own focal length
     frames = [
         Record((for_all if _FOCAL.isdisjoint(frame.values) else shared) | dict(frame.values), frame.name)
