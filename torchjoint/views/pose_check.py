@@ -65,8 +65,7 @@ def color_agreement(colors: Tensor, image: Tensor, row: Tensor, column: Tensor) 
         there = row + round(down * max(height, width)), column + round(right * max(height, width))
         inside = (there[0] >= 0) & (there[0] < height) & (there[1] >= 0) & (there[1] < width)
         if int(inside.sum()) >= LEAST_POINTS:
-            pixels = image[:, there[0][inside], there[1][inside]].T
-            shifted.append(float((colors[inside] - pixels).abs().mean()))
+            shifted.append(float((colors[inside] - image[:, there[0][inside], there[1][inside]].T).abs().mean()))
     by_chance = sum(shifted) / len(shifted) if shifted else math.nan
     same, exchanged = (float(correlation(colors.double(), one.double())) for one in (seen, seen.flip(1)))
     return ColorAgreement(float((colors - seen).abs().mean()), by_chance, same, exchanged)

@@ -50,8 +50,7 @@ def project(
         origin = points[:1]
         points, pose = (points - origin).float(), pose.clone()
         pose[:3, 3] += pose[:3, :3] @ origin[0]
-    camera = (pose, intrinsics.double())
-    return Projection(*ops.project(points, *camera, NEAREST, FARTHEST, *size, margin * size[1]))
+    return Projection(*ops.project(points, pose, intrinsics.double(), NEAREST, FARTHEST, *size, margin * size[1]))
 
 
 def nearest_pixel(coordinate: Tensor) -> Tensor:

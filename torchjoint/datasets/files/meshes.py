@@ -33,7 +33,7 @@ TEXTURES = (*RASTERS, "TGA")
 #: Extensions of glTF that do not change where points are.
 _LOOKS = re.compile("KHR_(materials_.*|texture_.*|lights_punctual|xmp.*|mesh_quantization)|EXT_texture_.*")
 _OFF = re.compile(rb"(\s*#.*\n)*\s*(ST)?(CN?|NC?)?OFF(?!\s+BINARY)", re.IGNORECASE)
-_NORMALS = re.compile(rb'^vn\s|"NORMAL"|^(ST)?C?NC?OFF', re.MULTILINE)
+_NORMALS = re.compile(rb'^[ \t]*vn\s|"NORMAL"|^(ST)?C?NC?OFF', re.MULTILINE)
 #: A transform of a texture that does not move it.
 _STILL = {"offset": [0, 0], "scale": [1, 1], "rotation": 0, "texCoord": 0}
 #: The types of numbers of which trimesh reads these: 8 bits, 16 bits, floating.
@@ -68,7 +68,7 @@ def read_mesh_file(path: Path) -> CloudFile:
         if suffix == ".obj":
             check_obj(data, str(path))
         own = _rows_of_obj(data) if suffix == ".obj" else _read_off(data, str(path)) if suffix == ".off" else None
-        if own is not None and (suffix == ".off" or not re.search(rb"^f\s", data, re.MULTILINE)):
+        if own is not None and (suffix == ".off" or not re.search(rb"^[ \t]*f\s", data, re.MULTILINE)):
             mesh = own
         else:
             loaded = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False)  # type: ignore[arg-type]  # it only gets

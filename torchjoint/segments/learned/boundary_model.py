@@ -169,8 +169,7 @@ def calibrated(probability: Tensor, calibration: Tensor) -> Tensor:
     x, y = calibration
     probability = probability.clamp(float(x[0]), float(x[-1]))
     right = torch.searchsorted(x.contiguous(), probability).clamp(1, len(x) - 1)
-    share = (probability - x[right - 1]) / (x[right] - x[right - 1])
-    return torch.lerp(y[right - 1], y[right], share)
+    return torch.lerp(y[right - 1], y[right], (probability - x[right - 1]) / (x[right] - x[right - 1]))
 
 
 def _check_calibration(calibration: Tensor) -> None:

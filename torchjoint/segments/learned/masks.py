@@ -196,8 +196,7 @@ def cut_by_masks(superpoint: Tensor, edge_index: Tensor, observations: Sequence[
     if masks is None:
         return superpoint
     num_superpoints = int(superpoint.max()) + 1
-    is_mixed = shares_against(masks, masks.in_mask, masks.in_frame, num_superpoints) > MIXED
-    single = is_mixed[superpoint]
+    single = (shares_against(masks, masks.in_mask, masks.in_frame, num_superpoints) > MIXED)[superpoint]
     # The points of mixed superpoints are regions of their own; each other superpoint is one region, named by its first
     # point.
     first = first_places(superpoint, num_superpoints)[superpoint]

@@ -143,8 +143,7 @@ def _ring_step(density: Tensor) -> float | None:
     """Degrees between two rings: the first high peak behind a dip; None if there is none."""
     behind = density[FIRST : round(LARGEST_STEP / BIN)]
     lowest = behind.cummin(0).values
-    least = max(LEAST_PEAK, LEAST_RECURRENCE * float(density[0]))
-    is_peak = (behind >= least) & (lowest <= LARGEST_DIP)
+    is_peak = (behind >= max(LEAST_PEAK, LEAST_RECURRENCE * float(density[0]))) & (lowest <= LARGEST_DIP)
     if not bool(is_peak.any()):
         return None
     highest = float(behind[is_peak].max())
@@ -246,8 +245,7 @@ def _unevenness(number: Tensor, row: Tensor) -> float:
 
 
 def _centered(values: Tensor, row: Tensor, weight: Tensor) -> Tensor:
-    mean = torch.bincount(row, weights=values * weight) / torch.bincount(row, weights=weight)
-    return values - mean[row]
+    return values - (torch.bincount(row, weights=values * weight) / torch.bincount(row, weights=weight))[row]
 
 
 def _contradiction(seen: Directions, ordered: Tensor) -> float:
