@@ -50,7 +50,8 @@ def read_point_labels(file: Path, num_points: int) -> ForeignLabels | None:
         raise ValueError(f"{file}: point_annotations: expected ids >= 0 of {num_points} points, got {got}")
     for one in record.records("annotations"):
         if "attributes" in one and "name" in one.record("attributes"):
-            names.append((int(one.number("id")), printable(one.record("attributes").text("name").strip())))
+            name = one.record("attributes").text("name").strip()
+            names.append((int(one.number("id")), printable(name)))
     return ForeignLabels(of_point, dict_of(names, f"{file}: object"))
 
 

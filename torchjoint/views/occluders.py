@@ -54,8 +54,7 @@ def lines_across(visible: Visible, noise: Tensor) -> Tensor:
         return torch.empty(2, 0, dtype=torch.int64)
     nearest = CoarseZBuffer.of(visible).point
     of_noise = STEP_IN_NOISE * noise[visible.point]
-    found = [_ends_of_gaps(grid, visible.z, of_noise) for grid in (nearest, nearest.T)]
-    return visible.point[torch.cat(found, 1)]
+    return visible.point[torch.cat([_ends_of_gaps(grid, visible.z, of_noise) for grid in (nearest, nearest.T)], 1)]
 
 
 def _cell_size(visible: Visible) -> int:
