@@ -117,7 +117,7 @@ def test_members_of_a_small_room(scene_of):
     seen = [tj.Masks.from_labels(labels) for labels in scene.truth.images]
     frames = [replace(frame, masks=masks) for frame, masks in zip(scene.frames, seen, strict=True)]
     masked = tj.JointSegmenter()(tj.Scene(scene.points, frames, colors=scene.colors))
-    assert masked.hierarchy.votes.segments.shape == (3, masked.hierarchy.num_superpoints)
+    assert masked.hierarchy.votes.segments.shape == (15, masked.hierarchy.num_superpoints)
     assert torch.equal(masked.hierarchy.votes.size, torch.bincount(masked.hierarchy.superpoint))
     assert masked.confidence.shape == (masked.num_point_segments,)
     assert tj.JointSegmenter(tj.Config.from_preset("paper"))(scene).confidence is None
