@@ -331,12 +331,11 @@ class TestSettings:
 class TestSuites:
     @pytest.fixture
     def data(self, tmp_path, scene_of):
+        (data := tmp_path / "data").mkdir()
         for index in (1, 2, 10):
-            write_truth(
-                write_folder(tmp_path / f"scene{index}", synthetic := scene_of(index, num_views=2)),
-                synthetic,
-            )
-        return tmp_path
+            scene = scene_of(index, num_views=2)
+            write_truth(write_folder(data / f"scene{index}", scene), scene)
+        return data
 
     def test_halves(self, data):
         assert list(SUITES["scannet"].scenes("tuning", data)) == ["scene1", "scene10"]
