@@ -31,7 +31,7 @@ from torchjoint.runtime.files import write_text
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned import consensus, method, superpoints
-from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.agglomeration import judge_of, merge_superpoints, merging_steps
 from torchjoint.segments.learned.method import segment
 from torchjoint.segments.learned.superpoint_graph import SuperpointGraph
 from torchjoint.views.evidence import Evidence
@@ -39,7 +39,7 @@ from torchjoint.views.observations import Observations
 
 
 def one_tree(copies: Sequence[SuperpointGraph], model: Any) -> Hierarchy:
-    return build_hierarchy(copies[0], model)
+    return merge_superpoints(copies[0], merging_steps(model.thresholds), judge_of(model))
 
 
 def nothing_joined(*of: Any) -> None:

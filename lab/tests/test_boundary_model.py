@@ -24,7 +24,7 @@ from torchjoint_lab.training.variation import varied
 
 from torchjoint.runtime.files import write_checked
 from torchjoint.scene import Scene, Truth
-from torchjoint.segments.learned.agglomeration import build_hierarchy
+from torchjoint.segments.learned.agglomeration import judge_of, merge_superpoints, merging_steps
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
 from torchjoint.segments.learned.boundary_model import calibrated, load_boundary_model
 
@@ -146,7 +146,7 @@ def test_from_scenes_to_segments(prepared, tmp_path, set_threads):
     save_boundary_model(tmp_path / "a.npz", model)
     loaded = load_boundary_model(tmp_path / "a.npz")
     evidence = prepared[0].evidence
-    segments = build_hierarchy(evidence, loaded).cut(0.5)
+    segments = merge_superpoints(evidence, merging_steps(loaded.thresholds), judge_of(loaded)).cut(0.5)
     assert 1 < int(segments.max()) + 1 < int(evidence.superpoint.max()) + 1
     set_threads(1)
     save_boundary_model(tmp_path / "b.npz", fit_boundary_model(prepared, QUICK))

@@ -15,7 +15,8 @@ from torchjoint.segments.learned.agglomeration import (
     COARSER,
     HEIGHT_STEP,
     WITH_IMAGES,
-    build_hierarchy,
+    judge_of,
+    merge_superpoints,
     merging_steps,
 )
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES, boundary_features
@@ -44,6 +45,10 @@ class ByCrease:
 @pytest.fixture(scope="module")
 def scene(scene_of):
     return scene_of(3).scene
+
+
+def build_hierarchy(evidence, model):
+    return merge_superpoints(evidence, merging_steps(model.thresholds), judge_of(model))
 
 
 def segmenter_of(scene, order=None):

@@ -11,7 +11,14 @@ from torchjoint_lab.synthetic import make_domain_scene
 
 import torchjoint as tj
 from torchjoint import ops
-from torchjoint.segments.learned.agglomeration import WITH_IMAGES, build_hierarchy
+from torchjoint.scene import Masks
+from torchjoint.segments.learned.agglomeration import (
+    WITH_IMAGES,
+    calibrated_linkage,
+    judge_of,
+    merge_superpoints,
+    merging_steps,
+)
 from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
 from torchjoint.segments.learned.consensus import (
     DEVIATION,
@@ -23,7 +30,12 @@ from torchjoint.segments.learned.consensus import (
     vote,
 )
 from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES
+from torchjoint.segments.learned.superpoint_graph import masks_of_superpoints
 from torchjoint.segments.learned.superpoints import build_superpoint_graph
+
+
+def with_masks(seen, masks):
+    return replace(seen, masks=masks)
 
 
 def tensors(*rows):
@@ -176,12 +188,19 @@ def silent(monkeypatch):
 
 
 class TestConsensus:
-    def test_trees_are_those_of_each_member_by_itself(self, evidence, silent):
+    @pytest.mark.parametrize("masked", [False, True])
+    def test_trees_are_those_of_each_member_by_itself(self, evidence, segmenter, silent, masked):
         model = load_boundary_model()
+        if masked:
+            stacks = [torch.stack([seen.labels % 4 == 0, seen.labels % 4 < 2]) for seen in segmenter.state.observations]
+            observations = [*map(with_masks, segmenter.state.observations, map(Masks.from_stack, stacks))]
+            evidence = replace(evidence, masks=masks_of_superpoints(evidence.superpoint, observations), occlusions=None)
+        linkage, steps = calibrated_linkage(evidence, model), merging_steps(model.thresholds)
         _, levels, segments = segments_of_members([evidence], model)
         assert levels == [0.075, 0.15, 0.2, 0.25, 0.3, 0.35, 0.425, 0.5, 0.6, 0.8, 0.9, 1.0]
         for member, members in ((1, [1]), (6, [1]), (14, [0, 1, 2, 3])):
-            alone = build_hierarchy(evidence, BoundaryModel(tuple(model.members[member] for member in members)))
+            judge = judge_of(BoundaryModel(tuple(model.members[member] for member in members)))
+            alone = merge_superpoints(evidence, steps, judge, linkage)
             for level, of_members in zip(levels, segments, strict=True):
                 assert torch.equal(of_members[member], alone.segments_of_superpoints(level))
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -17,6 +16,7 @@ from torchjoint import ops
 from torchjoint.runtime.groups import first_places
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned.boundary_features import boundary_features
+from torchjoint.segments.learned.boundary_model import BoundaryModel
 from torchjoint.segments.learned.masks import MaskLinkage
 from torchjoint.segments.learned.occluded_surfaces import continued_surfaces
 from torchjoint.segments.learned.small_regions import merges_by_contact
@@ -40,17 +40,6 @@ Judge = Callable[[int, Tensor, Tensor], Tensor]
 Step = tuple[int, float]
 #: Merges regions; arguments and result as those of :meth:`~torchjoint.segments.learned.masks.MaskLinkage.merges`.
 Link = Callable[[Tensor, Tensor, Tensor, Tensor, float], tuple[Tensor, Tensor]]
-
-
-class MergingModel(Protocol):
-    """What :class:`BoundaryModel` knows."""
-
-    @property
-    def thresholds(self) -> Sequence[float]:
-        """One number for each round; the round merges regions up to this probability."""
-
-    def probability(self, number: int, values: Tensor) -> Tensor:
-        """The probability [B] float64 that regions belong to different objects: of a round, and features [B, F]."""
 
 
 def merging_steps(thresholds: Sequence[float]) -> list[Step]:
@@ -87,45 +76,42 @@ class Regions:
         return Regions(self.graph.grouped(group), group[self.of_superpoint]) if pairs.shape[1] else self
 
 
-def build_hierarchy(superpoints: SuperpointGraph, model: MergingModel) -> Hierarchy:
-    """Merges superpoints in the model's steps, and then further, until all regions that touch have merged.
-
-    The default level of the hierarchy is the state after the model's last step. A cut at the threshold of a step gives
-    the state after this step.
-
-    Args:
-        superpoints: the superpoints and what is known about their boundaries.
-        model: gives the probability that two regions belong to different objects.
-    """
-    linkage = calibrated_linkage(superpoints, model)
-    return merge_superpoints(superpoints, merging_steps(model.thresholds), _judge_of(model), linkage)
-
-
-def calibrated_linkage(superpoints: SuperpointGraph, model: MergingModel) -> MaskLinkage | None:
+def calibrated_linkage(superpoints: SuperpointGraph, model: BoundaryModel) -> MaskLinkage | None:
     """The linkage of the masks after a first merging, which shows how far they contradict each other."""
     linkage = MaskLinkage.of(superpoints.masks, superpoints.statistics.size)
     if linkage is None:
         return None
     regions, merges = Regions(superpoints, torch.arange(len(superpoints))), Merges(len(superpoints))
-    first = _merge_in_steps(regions, _judge_of(model), merging_steps(model.thresholds), linkage.merges, merges)
+    first = _merge_in_steps(regions, judge_of(model), merging_steps(model.thresholds), linkage.merges, merges)
     return linkage.calibrated(first.of_superpoint)
 
 
-def _judge_of(model: MergingModel) -> Judge:
+def judge_of(model: BoundaryModel) -> Judge:
+    """The judge that asks a model alone."""
     return lambda number, values, _: model.probability(number, values)
 
 
 def merge_superpoints(
     superpoints: SuperpointGraph, steps: Sequence[Step], judge: Judge, linkage: MaskLinkage | None = None
 ) -> Hierarchy:
-    """As :func:`build_hierarchy`, with any probabilities, these of the steps of :func:`merging_steps`; and masks."""
+    """Merges superpoints in steps, and then further, until all regions that touch have merged.
+
+    The default level of the hierarchy is the state after the last step, and what is between its threshold and the
+    default's. A cut at the threshold of a step gives the state after this step.
+
+    Args:
+        superpoints: the superpoints and what is known about their boundaries.
+        steps: those of :func:`merging_steps`.
+        judge: gives the probability that two regions belong to different objects.
+        linkage: of their masks; None without masks.
+    """
     merges, regions = Merges(len(superpoints)), Regions(superpoints, torch.arange(len(superpoints)))
     last, highest = steps[-1]
     default, *coarser = last_levels([highest], superpoints)
     above = [(last, threshold) for threshold in coarser]
     between = [(last, default)] if default > highest else []
     if linkage is None:
-        regions = _merge_in_steps(regions, judge, steps, _by_probability, merges)
+        regions = _merge_in_steps(regions, judge, steps, merges_by_probability, merges)
         if regions.graph.occlusions is not None:
             graph = regions.graph
             pairs, against = continued_surfaces(regions.graph.occlusions, graph.statistics, graph.pairs)
@@ -133,7 +119,7 @@ def merge_superpoints(
             # At the height of the threshold, so all finer levels keep the regions apart.
             merges.add(regions.of_superpoint, joined, torch.full_like(height, highest), highest)
             regions = regions.merged(joined)
-        _merge_in_steps(regions, judge, [*between, *above], _by_probability, merges)
+        _merge_in_steps(regions, judge, [*between, *above], merges_by_probability, merges)
         return merges.hierarchy(superpoints.superpoint, default)
     regions = _merge_in_steps(regions, judge, steps, linkage.merges, merges)
     regions = _merge_step(regions, judge, steps[-1], linkage.merges_far, merges)
@@ -153,9 +139,10 @@ def last_levels(thresholds: Sequence[float], superpoints: SuperpointGraph) -> li
     return [default, *(threshold for threshold in COARSER if threshold > default)]
 
 
-def _by_probability(
+def merges_by_probability(
     of_superpoint: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
 ) -> tuple[Tensor, Tensor]:
+    """As :meth:`~torchjoint.segments.learned.masks.MaskLinkage.merges`, without masks."""
     return ops.region_dendrogram(ends, cost, int(of_superpoint.max()) + 1, threshold, count)
 
 

@@ -29,6 +29,7 @@ from torchjoint.segments.learned.agglomeration import (
     calibrated_linkage,
     last_levels,
     merge_superpoints,
+    merges_by_probability,
     merging_steps,
 )
 from torchjoint.segments.learned.boundaries import MANY_BOUNDARIES
@@ -186,50 +187,36 @@ def segments_of_members(
 
     def of_copy(number: int) -> list[list[Tensor]]:
         ensemble = Ensemble(model, slice(number, None, len(copies)))
-        if superpoints.masks is not None:
-            return _segments_by_masks(taken(number), ensemble, model, levels, superpoints.superpoint)
-        cells, regions, after = _first_step(taken(number), ensemble, levels[0], superpoints.superpoint)
+        first = _first_step(taken(number), ensemble, model, superpoints.superpoint)
         done()
-        return _segments(cells, regions, after, ensemble, model, levels)
+        return _segments(*first, ensemble, model, levels)
 
     numbers = range(len(copies))
     found = parallel_map(of_copy, numbers) if len(superpoints.superpoint) <= MANY_POINTS else [*map(of_copy, numbers)]
     return superpoints, levels, [list(chain.from_iterable(of_level)) for of_level in zip(*found, strict=True)]
 
 
-def _segments_by_masks(
-    superpoints: SuperpointGraph, ensemble: Ensemble, model: BoundaryModel, levels: Sequence[float], other: Tensor
-) -> list[list[Tensor]]:
-    """For each level the segments of each of the members, of other superpoints (as :func:`_first_step`)."""
-    trees, linkage = [], calibrated_linkage(superpoints, model)
-    for member in range(len(ensemble.weights)):
-        judge = partial(ensemble.probabilities, torch.full((len(superpoints),), member))
-        trees.append(merge_superpoints(superpoints, merging_steps(model.thresholds), judge, linkage))
-    of_levels = ([tree.segments_of_superpoints(level) for tree in trees] for level in levels)
-    return [_of_other_superpoints(found, superpoints.superpoint, other) for found in of_levels]
-
-
 def _first_step(
-    superpoints: SuperpointGraph, ensemble: Ensemble, threshold: float, other: Tensor
-) -> tuple[SuperpointGraph, list[Tensor], list[Tensor]]:
+    superpoints: SuperpointGraph, ensemble: Ensemble, model: BoundaryModel, other: Tensor
+) -> tuple[SuperpointGraph, MaskLinkage | None, list[Tensor], list[Tensor]]:
     """The first step of each member.
 
     Args:
         superpoints: of the copy.
         ensemble: the members.
-        threshold: of the step.
+        model: the one that they are made of.
         other: [N] int64, the other superpoint of each point.
 
     Returns:
-        the graph of the C cells, which are the superpoints that all members have together; the regions [C] of each
-        member; and the region of each other superpoint, for each member.
+        the graph of the C cells, which are the superpoints that all members have together; what masks say of them; the
+        regions [C] of each member; and the region of each other superpoint, for each member.
     """
-    num_edges = superpoints.boundaries.num_edges
+    linkage, (_, threshold) = calibrated_linkage(superpoints, model), merging_steps(model.thresholds)[0]
+    link = merges_by_probability if linkage is None else linkage.merges
+    each, num_edges = torch.arange(len(superpoints)), superpoints.boundaries.num_edges
 
     def merged(probability: Tensor) -> Tensor:
-        joined, _ = ops.region_dendrogram(
-            superpoints.pairs, probability.float(), len(superpoints), threshold, num_edges
-        )
+        joined, _ = link(each, superpoints.pairs, probability.float(), num_edges, threshold)
         return ops.connected_components(joined, len(superpoints))
 
     give_back_much(len(other))
@@ -238,11 +225,13 @@ def _first_step(
     cell = _together(regions)
     cells = superpoints.grouped(cell)
     of_cells = [torch.empty_like(cells.superpoint).index_put_((cell,), region) for region in regions]
-    return cells, of_cells, _of_other_superpoints(regions, superpoints.superpoint, other)
+    of_masks = None if linkage is None else linkage.grouped(cell)
+    return cells, of_masks, of_cells, _of_other_superpoints(regions, superpoints.superpoint, other)
 
 
 def _segments(
     cells: SuperpointGraph,
+    linkage: MaskLinkage | None,
     of_cells: Sequence[Tensor],
     regions: Sequence[Tensor],
     ensemble: Ensemble,
@@ -254,8 +243,9 @@ def _segments(
     for members in _at_once(ensemble.is_perturbed, cells.boundaries.num_edges.numel()):
         sizes = [int(of_cells[member].max()) + 1 for member in members]
         asked = torch.tensor(members).repeat_interleave(torch.tensor(sizes))
-        graph, steps = cells.grouped(*(of_cells[member] for member in members)), merging_steps(model.thresholds)[1:]
-        forest = merge_superpoints(graph, steps, partial(ensemble.probabilities, asked))
+        groups, steps = [of_cells[member] for member in members], merging_steps(model.thresholds)[1:]
+        of_masks = None if linkage is None else linkage.grouped(*groups)
+        forest = merge_superpoints(cells.grouped(*groups), steps, partial(ensemble.probabilities, asked), of_masks)
         of_levels = [forest.segments_of_superpoints(level).split(sizes) for level in levels[1:]]
         for member, of_member in zip(members, zip(*of_levels, strict=True), strict=True):
             found[member] = [regions[member], *((one - one[0])[regions[member]] for one in of_member)]

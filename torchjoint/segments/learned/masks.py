@@ -56,6 +56,25 @@ class MaskLinkage:
         """The linkage of superpoints with sizes [P]; None if there are no masks."""
         return None if masks is None else cls(masks, size.long())
 
+    def grouped(self, *groups: Tensor) -> MaskLinkage:
+        """The linkage of disjoint copies as :meth:`SuperpointGraph.grouped`; each copy has masks and frames of its own.
+
+        Args:
+            groups: for each copy [P] int64, group of each superpoint, 0 ... G - 1.
+        """
+        masks, sizes, tables, start = self.masks, [], [], 0
+        num_frames = int(masks.in_frame[1].max()) + 1 if masks.in_frame.numel() else 1
+        for number, group in enumerate(groups):
+            in_mask, in_frame = masks.of_regions(group)
+            for rows, each in ((in_mask, len(masks.weight)), (in_frame, num_frames)):
+                rows[:2] += torch.tensor([[start], [number * each]])
+            bare = torch.stack([group[masks.bare[0]] + start, masks.bare[1]])
+            tables.append((in_mask, in_frame, masks.weight, masks.frame_of_mask + number * num_frames, bare))
+            sizes.append(sum_by(group, self.size, int(group.max()) + 1))
+            start += len(sizes[-1])
+        joined = MaskCounts(*(torch.cat(parts, -1) for parts in zip(*tables, strict=True)))
+        return replace(self, masks=joined, size=torch.cat(sizes))
+
     def merges(
         self, of_superpoint: Tensor, ends: Tensor, cost: Tensor, count: Tensor, threshold: float
     ) -> tuple[Tensor, Tensor]:
