@@ -196,6 +196,13 @@ def test_a_coco_file_of_cvat(tmp_path):
     assert not masks.stack()[2].any()  # a rectangle is no mask
 
 
+@pytest.mark.parametrize(("stems", "ids"), [("37b", (3, 7, 0)), ("0ab", (0, 1, 2)), ("ab", (0, 1)), ("9", (9,))])
+def test_pngs_without_a_number_get_a_free_one(tmp_path, stems, ids):
+    for stem in stems:
+        Image.fromarray(np.eye(4, dtype=np.uint8) * 255).save(tmp_path / f"{stem}.png")
+    assert tj.masks.read_masks(tmp_path).ids == ids
+
+
 def test_frames_and_masks_without_a_partner_are_reported(tmp_path):
     for name in ("b", "x", "y"):
         write_labels(tmp_path / f"{name}.png")
