@@ -259,11 +259,12 @@ def test_masks_of_nearly_the_whole_image_are_told(tmp_path):
 
 
 def test_what_cannot_be_matched_is_an_error(tmp_path):
-    write_labels(tmp_path / "x.png")
-    with pytest.raises(
-        ValueError, match=r"no masks .*have the name of a frame; rename them, or .*: masks x; frames a, b"
-    ):
-        tj.masks.read_folder(tmp_path, scene_of("a", "b"))
+    (tmp_path / "a.npy").touch()  # of no known kind
+    for there in ("a.npy", "x"):
+        told = f"no masks .*have the name of a frame; rename them, or .*: masks {there}; frames a, b"
+        with pytest.raises(ValueError, match=told):
+            tj.masks.read_folder(tmp_path, scene_of("a", "b"))
+        write_labels(tmp_path / "x.png")
     write_labels(tmp_path / "a.png")
     tj.masks.save_masks(tmp_path / "a.npz", tj.masks.from_stack(torch.zeros(0, *SIZE, dtype=torch.bool)))
     with pytest.raises(ValueError, match=r"two masks for 'a', the second one is a.png"):

@@ -212,8 +212,8 @@ def read_folder(
         if len(readers) == 1:
             next(iter(readers.values()))()  # its error may say why: a COCO data set
         told = f"{folder}: no masks (.png, .npz, .json, or folders of .png) have the name of a frame; rename them"
-        found = f"masks {_listed(sorted(readers))}; frames {_listed(names)}"
-        raise ValueError(f"{told}, or convert a network's own files (examples/sam_masks.py): {found}")
+        found = f"{_listed(sorted(readers or (file.name for file in folder.glob('*'))))}; frames {_listed(names)}"
+        raise ValueError(f"{told}, or convert a network's own files (examples/sam_masks.py): masks {found}")
     frames = LazySequence(len(names), lambda index: _with_masks(scene.frames[index], of_frame[index]), names)
     have, lack = ([i for i, one in enumerate(of_frame) if (one is None) == is_none] for is_none in (False, True))
     most = len(names) if max_frames is None else max_frames
