@@ -166,7 +166,7 @@ def test_boxes_have_thin_legs_and_no_flying_points(density):
     for up in np.eye(3):
         size = oriented_box(np.concatenate([top, leg]), up).size
         np.testing.assert_allclose(np.sort(size), [0.6, 0.71, 1.2], atol=0.02)
-        np.testing.assert_allclose(oriented_box(flying, up).size, size, atol=0.01)
+        np.testing.assert_allclose(oriented_box(flying, up).size, size, atol=0.02)
 
 
 def test_up_is_against_gravity_in_any_world_frame(scene):
