@@ -196,6 +196,13 @@ def test_a_coco_file_of_cvat(tmp_path):
     assert not masks.stack()[2].any()  # a rectangle is no mask
 
 
+@pytest.mark.parametrize(("stems", "ids"), [("37b", (3, 7, 0)), ("0ab", (0, 1, 2)), ("ab", (0, 1)), ("9", (9,))])
+def test_pngs_without_a_number_get_a_free_one(tmp_path, stems, ids):
+    for stem in stems:
+        Image.fromarray(np.eye(4, dtype=np.uint8) * 255).save(tmp_path / f"{stem}.png")
+    assert tj.masks.read_masks(tmp_path).ids == ids
+
+
 def test_frames_and_masks_without_a_partner_are_reported(tmp_path):
     for name in ("b", "x", "y"):
         write_labels(tmp_path / f"{name}.png")
@@ -252,11 +259,12 @@ def test_masks_of_nearly_the_whole_image_are_told(tmp_path):
 
 
 def test_what_cannot_be_matched_is_an_error(tmp_path):
-    write_labels(tmp_path / "x.png")
-    with pytest.raises(
-        ValueError, match=r"no masks .*have the name of a frame; rename them, or .*: masks x; frames a, b"
-    ):
-        tj.masks.read_folder(tmp_path, scene_of("a", "b"))
+    (tmp_path / "a.npy").touch()  # of no known kind
+    for there in ("a.npy", "x"):
+        told = f"no masks .*have the name of a frame; rename them, or .*: masks {there}; frames a, b"
+        with pytest.raises(ValueError, match=told):
+            tj.masks.read_folder(tmp_path, scene_of("a", "b"))
+        write_labels(tmp_path / "x.png")
     write_labels(tmp_path / "a.png")
     tj.masks.save_masks(tmp_path / "a.npz", tj.masks.from_stack(torch.zeros(0, *SIZE, dtype=torch.bool)))
     with pytest.raises(ValueError, match=r"two masks for 'a', the second one is a.png"):

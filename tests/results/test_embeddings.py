@@ -168,7 +168,7 @@ def test_what_is_refused(result):
         tj.Result.of(tj.Segmentation(torch.zeros(3).long(), ()), tj.Scene(torch.rand(3, 3))).embed(ColorEncoder())
     made = result.embed(ColorEncoder(), size=16)
     for query in (torch.zeros(3), torch.rand(2), torch.full((3,), torch.inf)):
-        with pytest.raises(ValueError, match="query: expected 3 finite numbers that are not all 0"):
+        with pytest.raises(ValueError, match="query: expected 3 finite numbers, not all 0"):
             made.find(query)
     with pytest.raises(ValueError, match="k: expected at least 1"):
         made.find(torch.rand(3), 0)

@@ -155,6 +155,20 @@ def test_boxes_of_few_points(points):
     np.testing.assert_allclose(box.size.max(), np.ptp(points, axis=0).max() if box.size[2] else box.size[0], atol=1e-6)
 
 
+@pytest.mark.parametrize("density", [1, 20])  # 20: so many points that only some are looked at
+def test_boxes_have_thin_legs_and_no_flying_points(density):
+    random = np.random.default_rng(0).uniform
+    top, leg = (
+        random((0, 0, 0.7), (1.2, 0.6, 0.72), (3000 * density, 3)),
+        random(0, (0.03, 0.03, 0.7), (60 * density, 3)),
+    )
+    flying = np.concatenate([top, leg, random((2, 0, 0.7), (2.3, 0.2, 0.9), (200 * density, 3))])
+    for up in np.eye(3):
+        size = oriented_box(np.concatenate([top, leg]), up).size
+        np.testing.assert_allclose(np.sort(size), [0.6, 0.71, 1.2], atol=0.02)
+        np.testing.assert_allclose(oriented_box(flying, up).size, size, atol=0.02)
+
+
 def test_up_is_against_gravity_in_any_world_frame(scene):
     turn, _ = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64))
     turn = turn * turn.det()

@@ -71,6 +71,13 @@ def test_masks_of_other_images_are_told(scene_of, change, told, kind):
     assert [one.endswith("mirrored or turned?") for one in found] == [True] * told
 
 
+def test_few_borders_of_masks_are_too_little_evidence(scene_of):
+    frame = scene_of(0).scene.frames[0]
+    mask = torch.full(frame.size, -1)
+    mask[10:98, 10:128] = 0  # no edges at its borders: as of one white thing before white
+    assert messages(dataclasses.replace(scene_of(0).scene, frames=[dataclasses.replace(frame, masks=mask)])) == []
+
+
 def turned(scene, right, down=0.0):
     """The scene with its cameras turned, degrees."""
     angles = math.radians(right), math.radians(down)

@@ -103,7 +103,7 @@ def output_files_in(out: Path, kinds: tuple[str, ...], overwrite: bool, inputs: 
 
 def _check_parent(out: Path, option: str) -> None:
     if not out.parent.is_dir():
-        raise FileNotFoundError(f"{option}: {out.parent} is no folder")
+        raise FileNotFoundError(f"{option}: {out.parent} is no folder; make it first")
     if not os.access(out.parent, os.W_OK | os.X_OK):  # else a long run would end with it
         raise PermissionError(f"{option}: {out}: the folder {out.parent} cannot be written; choose another output")
     if out.name == "-":

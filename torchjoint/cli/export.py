@@ -100,7 +100,7 @@ def export(
             FORMATS[format](path, loaded)
     say(out)
     if format == "labelcloud" and ((classes := out.with_name("_classes.json")).exists() or classes.is_symlink()):
-        say(f"{classes}: was there, and stays; labelCloud takes names and colours from it")
+        say(f"{classes}: was there, and stays; delete it to have the names of this result in labelCloud")
     elif format == "labelcloud":
         with output_file(classes, False, inputs).written() as path:
             export_labelcloud_classes(path, loaded)

@@ -122,11 +122,11 @@ def _segmented(
     """The superpoint of each row of a file, -1 of those that were dropped; from a mesh, if its triangles are used."""
     mesh = read.faces if config.weight == "segmentator" else None
     if mesh is None and read.faces is not None:
-        say("the nearest vertices are neighbours (--preset segmentator: of triangles); put points on large ones first")
+        told = "only vertices count, not triangles (--preset segmentator: they, too); if these are few and large"
+        say(f"{told}, sample points on them first, such as Open3D's mesh.sample_points_uniformly(100_000)")
     sensor = None if viewpoint is None else torch.tensor(viewpoint, dtype=torch.float64)
-    normals = read.normals if mesh is None else None
-    of = partial(segment, faces=mesh, viewpoint=sensor, drop_invalid=drop_invalid, preset=config)
-    return of(read.points, read.colors, normals)
+    given = (read.points, read.colors, read.normals if mesh is None else None)
+    return segment(*given, faces=mesh, viewpoint=sensor, drop_invalid=drop_invalid, preset=config)
 
 
 def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor, faces: Tensor | None) -> None:

@@ -13,7 +13,7 @@ import torch
 from torch.utils.data import Subset
 
 from torchjoint.datasets.files.readers import read_label_image, read_raster
-from torchjoint.masks.arrays import as_binary, as_scores, from_labels
+from torchjoint.masks.arrays import as_binary, as_tensor, from_labels
 from torchjoint.masks.coco import CocoFile
 from torchjoint.masks.networks import from_sam
 from torchjoint.masks.segmentation import Pixels, merged, pixels_of
@@ -41,8 +41,8 @@ def read_masks(path: Path | str) -> Masks:
         path: one of
 
             * ``NAME.png``: labels of 2 to 16 bits, 0 = none;
-            * a folder of PNGs, each one mask (0 outside), in the order of their numbers, and an optional
-              ``metadata.csv`` with scores, as SAM's command line writes it;
+            * a folder of PNGs, each one mask (0 outside); the number of a file is its id, others get free numbers;
+              and an optional ``metadata.csv`` with scores, as SAM's command line writes it;
             * ``NAME.npz``: what :func:`save_masks` wrote; or ``masks`` ([M, H, W] booleans, or labels [H, W], -1 =
               none, or 0 if they have no sign), and optional ``scores``;
             * ``NAME.json``: SAM's list of dicts with run lengths, or SA-1B's dict with such a list as ``annotations``.
@@ -109,8 +109,8 @@ def _read_npz(path: Path) -> Masks:
     for name in ("atom", "masks"):
         if name in arrays and arrays[name].ndim in (2, 3):
             bounds.check_pixels(arrays[name].shape[-2], arrays[name].shape[-1], name)
-    for name, most in (("mask_scores", bounds.MASKS), ("ids", bounds.MASKS), ("names", bounds.MASKS)):
-        bounds.check(len(np.atleast_1d(arrays.get(name, ()))), most, name)
+    for name in ("mask_scores", "ids", "names"):
+        bounds.check(len(np.atleast_1d(arrays.get(name, ()))), bounds.MASKS, name)
     bounds.check(arrays.get("pairs", np.empty(0)).size, 2 * bounds.PAIRS, "numbers of pairs")
     if {"atom", "pairs", "mask_scores"} <= set(arrays):
         ids, names = (tuple(arrays[key].tolist()) if key in arrays else () for key in ("ids", "names"))
@@ -123,9 +123,8 @@ def _read_npz(path: Path) -> Masks:
     masks, scores, names = arrays["masks"], arrays.get("scores"), tuple(map(str, arrays.get("names", ())))
     if masks.ndim != 3:
         return replace(from_labels(masks, scores), names=names)
-    of_masks = as_scores(scores, "scores")
     each = (pixels_of(mask, None, f"masks[{index}]") for index, mask in enumerate(masks))
-    of_masks = torch.ones(len(masks)) if of_masks is None else of_masks
+    of_masks = torch.ones(len(masks)) if scores is None else as_tensor(scores, "scores").float()
     return replace(merged(each, len(masks), (masks.shape[1], masks.shape[2]), of_masks, "masks"), names=names)
 
 
@@ -136,8 +135,10 @@ def _read_pngs(path: Path) -> Masks:
     stems = [file.stem for file in files]
     scores = torch.tensor(_scores(path / METADATA, stems) or [1.0] * len(files), dtype=torch.float32)
     names = tuple("" if stem.isdecimal() else stem for stem in stems)  # SAM's numbers are no names
-    ids = tuple(map(int, stems)) if all(stem.isdecimal() and len(stem) < 19 for stem in stems) else ()
-    dict_of([*zip(ids, files, strict=False)], f"{path}: mask")  # 1.png and 01.png
+    numbers = {stem: int(stem) for stem in stems if stem.isdecimal() and len(stem) < 19}
+    free = iter(sorted({*range(len(stems))} - {*numbers.values()}))
+    ids = tuple(numbers[stem] if stem in numbers else next(free) for stem in stems)
+    dict_of([*zip(ids, files, strict=True)], f"{path}: mask")  # 1.png and 01.png
     return replace(merged(map(_read_png, files), len(files), None, scores, path.name), ids=ids, names=names)
 
 
@@ -205,15 +206,14 @@ def read_folder(
     if max_frames is not None and max_frames < 0:
         raise ValueError(f"max_frames: expected >= 0, got {max_frames}")
     folder = Path(folder)
-    readers = _readers(folder)
-    names = frame_names(scene.frames)
+    readers, names = _readers(folder), frame_names(scene.frames)
     of_frame = _matched(names, readers, folder)
     if not any(of_frame):
         if len(readers) == 1:
             next(iter(readers.values()))()  # its error may say why: a COCO data set
         told = f"{folder}: no masks (.png, .npz, .json, or folders of .png) have the name of a frame; rename them"
-        found = f"masks {_listed(sorted(readers))}; frames {_listed(names)}"
-        raise ValueError(f"{told}, or convert a network's own files (examples/sam_masks.py): {found}")
+        found = f"{_listed(sorted(readers or (file.name for file in folder.glob('*'))))}; frames {_listed(names)}"
+        raise ValueError(f"{told}, or convert a network's own files (examples/sam_masks.py): masks {found}")
     frames = LazySequence(len(names), lambda index: _with_masks(scene.frames[index], of_frame[index]), names)
     have, lack = ([i for i, one in enumerate(of_frame) if (one is None) == is_none] for is_none in (False, True))
     most = len(names) if max_frames is None else max_frames

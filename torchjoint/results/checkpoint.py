@@ -46,8 +46,7 @@ class Checkpoint:
             shutil.rmtree(directory, ignore_errors=True)
             directory.mkdir(parents=True)
             write_text(key_file, known)
-        self._key, self._saved = key, 0
-        self._next_save = 0.0
+        self._key, self._saved, self._next_save = key, 0, 0.0
 
     def load(self, observations: Observations | None = None) -> Evidence | None:
         """Loads the last saved state; None if there is none, or, with a warning, if its files are damaged.

@@ -191,9 +191,8 @@ def write_edits(folder: Path, edits: Edits) -> None:
     """Writes edits.json into a result's folder; the file is replaced as a whole."""
     steps = [{"kind": one.kind, "pieces": one.superpoints} | _named(one) for one in edits.steps]
     lines = ",\n".join(json.dumps(step, ensure_ascii=False) for step in steps)
-    head = f'"result": {json.dumps(edits.of)}, "pieces": {edits.num_superpoints}'
-    head = f'{head}, "granularity": {json.dumps(edits.granularity)}'
-    write_text(folder / FILE, f'{{{head}, "edits": [\n{lines}\n]}}\n')
+    head = {"result": edits.of, "pieces": edits.num_superpoints, "granularity": edits.granularity}
+    write_text(folder / FILE, f'{json.dumps(head)[:-1]}, "edits": [\n{lines}\n]}}\n')
 
 
 def _named(one: Edit) -> dict[str, Any]:

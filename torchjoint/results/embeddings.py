@@ -167,7 +167,7 @@ class Embeddings:
         wanted = torch.as_tensor(query).detach().flatten().to("cpu", torch.float32)
         if wanted.shape != self.vectors.shape[1:] or not bool(wanted.isfinite().all()) or not bool(wanted.any()):
             raise ValueError(
-                f"query: expected {self.vectors.shape[1]} finite numbers that are not all 0, got {list(query.shape)}"
+                f"query: expected {self.vectors.shape[1]} finite numbers, not all 0, got {list(query.shape)}"
             )
         if k < 1:
             raise ValueError(f"k: expected at least 1, got {k}")
@@ -262,10 +262,9 @@ def embed(
         raise TypeError(f"encoder: expected a module or a function, got {type(encoder).__name__}")
     if not len(result.images) or len(result.images) != len(scene.frames):
         raise ValueError(f"result: expected frames, to see the segments, got {len(scene.frames)}")
-    records = segment_records(scene, result)
     cameras = dict(enumerate(parallel_map(lambda index: _camera(scene.frames[index]), range(len(scene.frames)))))
     vectors: dict[int, Tensor] = {}
-    for record in records:
+    for record in segment_records(scene, result):
         views = sorted(record.views, key=lambda view: (-view.pixels, view.frame))[:CANDIDATES]
         pixels = {view.frame: view.pixels for view in views}
         crops = crops_of(scene, result, record.id, pixels, cameras, k, margin)

@@ -71,10 +71,8 @@ def read_inputs(folder: Path, names: Sequence[str], check: Check = unchecked) ->
     """Reads the frames of a result, in the order of `names`; images are read, and checked, when they are used."""
     file, files, records = folder / CAMERAS, read_names(folder), _read_cameras(folder)
     with damage_is(f"{file}: not the cameras of these images"):
-        cameras = [
-            tuple(torch.tensor(records[name][key], dtype=torch.float64) for key in ("intrinsics", "world_to_camera"))
-            for name in names
-        ]
+        keys = ("intrinsics", "world_to_camera")
+        cameras = [tuple(torch.tensor(records[name][key], dtype=torch.float64) for key in keys) for name in names]
 
     def read(index: int) -> Frame:
         intrinsics, world_to_camera = cameras[index]

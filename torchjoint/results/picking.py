@@ -91,9 +91,7 @@ def _superpoints(result: Segmentation, cloud: Tensor, prompts: Prompts, name: st
     of_point = result.points if result.hierarchy is None else result.hierarchy.superpoint
     found = set() if prompts.points is None else set(of_point[_indices(cloud, prompts.points, name)].tolist())
     count = int(of_point.max()) + 1
-    for pixel in prompts.pixels:
-        found.add(_superpoint_of_pixel(result, pixel, count, pixel_name))
-    return found
+    return found | {_superpoint_of_pixel(result, pixel, count, pixel_name) for pixel in prompts.pixels}
 
 
 def _superpoint_of_pixel(result: Segmentation, pixel: tuple[int, int, int], count: int, name: str) -> int:

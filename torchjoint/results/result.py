@@ -78,9 +78,8 @@ class Result(Segmentation):
         new, old = pairs // count, pairs % count
         has_name = torch.isin(old, torch.tensor(list(self.segment_names)))
         most = 2 * torch.bincount(new, shared * has_name) > torch.bincount(new, shared)
-        names = {
-            found.num_point_segments - count + one: {name} for one, name in self.segment_names.items() if one >= count
-        }
+        more = found.num_point_segments - count
+        names = {one + more: {name} for one, name in self.segment_names.items() if one >= count}
         for one, of in zip(new[has_name & most[new]].tolist(), old[has_name & most[new]].tolist(), strict=True):
             names.setdefault(one, set()).add(self.segment_names[of])
         return replace(found, segment_names={one: name for one, (name, *others) in names.items() if not others})

@@ -76,9 +76,8 @@ def edits_of_points(parts: Parts, before: Edits, labels: ForeignLabels) -> tuple
     of_segment = _most(table[parts.of_point[labelled]], labels.of_point[labelled], parts.count)
     of_superpoint = np.where(of_superpoint > 0, of_superpoint, of_segment[table])
     found, sizes = np.unique(of_superpoint[parts.of_point], return_counts=True)
-    superpoints_of = {
-        one: np.flatnonzero(of_superpoint == one) for one in found[np.argsort(-sizes, kind="stable")] if one > 0
-    }
+    largest_first = found[np.argsort(-sizes, kind="stable")]
+    superpoints_of = {one: np.flatnonzero(of_superpoint == one) for one in largest_first if one > 0}
     gathered: list[Edit] = []
     kept: set[int] = set()
     for superpoints in superpoints_of.values():
