@@ -107,6 +107,7 @@ def test_normals_without_a_negative_one_are_no_colours(tmp_path, suffix):
         ),
         ("31\n" + COLORED, r"line 1: 31 points are counted, got 30: is it truncated\?"),
         ("1,5 2,5 3,5\n", r"line 1: expected decimal points, got commas in '1,5 2,5 3,5'; replace them"),
+        ("1,5, 2,5, 3\n", r"line 1: expected decimal points, got commas in '1,5, 2,5, 3'; replace them"),
         ("x y z r g b\n" + text(RGB[:, :1], XYZ, RGB), "6 names of columns, x, y, z, r, g, b, but 7 numbers a row"),
         ("# nothing\n", "expected a row of x y z for each point, got no rows"),
         ("x,y,z,x\n1,2,3,4\n", "column 'x' is there twice"),
