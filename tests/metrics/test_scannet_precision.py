@@ -299,6 +299,7 @@ MASKS = torch.ones(2, 4, dtype=torch.bool)
         ([T + 4], None, ValueError, r"pred\[0\]: expected points in 0 ... 3, got 4 ... 4"),
         ([T - 1], None, ValueError, r"pred\[0\]: expected points in 0 ... 3, got -1 ... -1"),
         (T, [1.0], TypeError, "scores: expected a tensor, got list"),
+        (T, torch.ones(9) * 1j, TypeError, "scores: expected a tensor, got torch.complex64, torch.strided"),
         (T + 2, torch.ones(2), ValueError, r"scores: expected a score for each label up to 2, got \(2,\)"),
         (T, torch.tensor(1.0), ValueError, r"scores: expected a score for each label up to 0, got \(\)"),
         (MASKS, torch.ones(3), ValueError, r"scores: expected shape \(2,\), one for each mask, got \(3,\)"),

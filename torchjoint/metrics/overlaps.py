@@ -15,7 +15,9 @@ INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
 
 def check_integers(values: object, told: str) -> None:
     """Raises TypeError, whose message begins with `told`, unless the values are a tensor of integers."""
-    got = values.dtype if isinstance(values, Tensor) else type(values).__name__
+    got: object = type(values).__name__
+    if isinstance(values, Tensor):
+        got = values.dtype if values.layout == torch.strided else values.layout
     if got not in INTEGERS:
         raise TypeError(f"{told}, got {got}")
 
