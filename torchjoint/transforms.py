@@ -153,8 +153,7 @@ def _nearest(source: Any, target: Any) -> tuple[Any, Any]:
         tied = found == found[:, :1]
         nearest[open_] = np.where(tied, index, len(source)).min(axis=1)
         distance[open_] = found[:, 0]
-        more = tied[:, -1] & (count < len(source))
-        open_, count = open_[more], min(4 * count, len(source))
+        open_, count = open_[tied[:, -1] & (count < len(source))], min(4 * count, len(source))
     return nearest, distance
 
 

@@ -309,8 +309,7 @@ class LiveSegmenter(nn.Module):
         found = label(tree, graph, evidence, self.config, self.stopwatch, images=images)
         if self.granularity != 0.5:
             found = found.at(self.granularity)
-        side = CUBE * self._volume.voxel_size
-        place = ((points.double() - self._origin) / side).floor().long()
+        place = ((points.double() - self._origin) / (CUBE * self._volume.voxel_size)).floor().long()
         ids, changes = self._ids.name(place[:, 0] << 42 ^ place[:, 1] << 21 ^ place[:, 2], found.points)
         return LiveResult(Cloud(points, colors), found, ids, changes)
 
@@ -459,5 +458,4 @@ def _check(frames: Sequence[Frame]) -> None:
 
 def _frame_values(frame: Frame) -> dict[str, Any]:
     """The arguments of a frame for comparison."""
-    names = ("image", "intrinsics", "world_to_camera", "depth", "name")
-    return {name: getattr(frame, name) for name in names}
+    return {name: getattr(frame, name) for name in ("image", "intrinsics", "world_to_camera", "depth", "name")}

@@ -52,16 +52,13 @@ def _with_pixels(annotations: Sequence[Mapping[str, Any]], name: str) -> list[Ma
 
     CVAT says iscrowd of each mask of its brush, and alone writes attributes; the segmentation of its rectangles is [].
     """
-    kept = list(annotations)
-    for what, is_left in (
-        ("masks are groups of things (iscrowd: 1)", lambda one: one.get("iscrowd") == 1 and "attributes" not in one),
-        ("annotations have no polygon", lambda one: isinstance(part := one.get("segmentation"), list) and not part),
-    ):
-        rest = [one for one in kept if not (isinstance(one, Mapping) and is_left(one))]
-        if count := len(kept) - len(rest):
-            warnings.warn(f"{name}: {count} of {len(annotations)} {what}; they are left out", stacklevel=3)
-        kept = rest
-    return kept
+    records = [one if isinstance(one, Mapping) else {} for one in annotations]
+    groups = [one.get("iscrowd") == 1 and "attributes" not in one for one in records]
+    bare = [isinstance(one.get("segmentation"), list) and not one["segmentation"] for one in records]
+    for left, what in ((groups, "masks are groups of things (iscrowd: 1)"), (bare, "annotations have no polygon")):
+        if any(left):
+            warnings.warn(f"{name}: {sum(left)} of {len(left)} {what}; they are left out", stacklevel=3)
+    return [one for one, *left in zip(annotations, groups, bare, strict=True) if not any(left)]
 
 
 def _pixels(annotation: Mapping[str, Any], size: tuple[int, int], name: str) -> Pixels:

@@ -79,8 +79,7 @@ class Overlaps:
         self.pred, self.target = key // num_target, key % num_target  # [E], ascending
         self.pred_area = torch.bincount(pred, minlength=num_pred)  # [P]; 0 where this ground truth is void
         self.target_area = torch.bincount(target)  # [T]
-        areas = self.pred_area[self.pred] + self.target_area[self.target]
-        iou = self.count.double() / (areas - self.count)
+        iou = self.count.double() / (self.pred_area[self.pred] + self.target_area[self.target] - self.count)
         self.precision = self.count.double() / self.pred_area[self.pred]
         self.recall = self.count.double() / self.target_area[self.target]
         self.best_iou_of_pred = largest(iou, self.pred, num_pred)

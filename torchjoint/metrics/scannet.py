@@ -158,8 +158,7 @@ def _checked_scores(scores: Tensor | None, labels: Tensor | None, count: int) ->
     if scores is None:
         return torch.ones(count, dtype=torch.float64)
     if not isinstance(scores, Tensor) or scores.is_complex() or scores.layout != torch.strided:
-        got = f"{scores.dtype}, {scores.layout}" if isinstance(scores, Tensor) else type(scores).__name__
-        raise TypeError(f"scores: expected a tensor, got {got}")
+        raise TypeError(f"scores: expected a tensor of real numbers, got {getattr(scores, 'dtype', type(scores))}")
     if labels is not None:
         if scores.dim() != 1 or (len(labels) and int(labels[-1]) >= len(scores)):
             highest = int(labels[-1]) if len(labels) else -1

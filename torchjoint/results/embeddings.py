@@ -203,8 +203,7 @@ class Embeddings:
         path = Path(path)
         rows = self._rows(path) if has_folder(path) else None
         file = path if rows is None else path / FILE
-        arrays = {"vectors": self.vectors.numpy(), "labels": self.labels.to(torch.int32).numpy()}
-        write_archive(no_link(file), arrays)
+        write_archive(no_link(file), {"vectors": self.vectors.numpy(), "labels": self.labels.to(torch.int32).numpy()})
         if rows is not None:
             add_to_segments(path, {"embeddings": FILE}, embedding=rows)
 

@@ -48,8 +48,7 @@ def oriented_box(points: Array, up: Array) -> OrientedBox:
 
     level = level_axes(up)
     origin = points.mean(0)
-    footprint = (points - origin) @ level.T
-    corners = cv2.boxPoints(cv2.minAreaRect(footprint.astype(np.float32))).astype(np.float64)
+    corners = cv2.boxPoints(cv2.minAreaRect(((points - origin) @ level.T).astype(np.float32))).astype(np.float64)
     sides = corners[1:3] - corners[:2]
     side = sides[int(np.argmax(np.linalg.norm(sides, axis=1)))]
     length = float(np.linalg.norm(side))

@@ -53,9 +53,8 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     """The upward direction according to the poses, and its largest error in degrees."""
     rotations = _rotations(scene, 32)
     sideways, mean = rotations[:, 0], -rotations[:, 1].mean(0)
-    spread = sideways.T @ sideways / len(rotations)
     # One direction is across all x axes if the cameras turned, else several are: the mean of the -y axes decides.
-    values, vectors = torch.linalg.eigh(spread - 0.05 * torch.outer(mean, mean))
+    values, vectors = torch.linalg.eigh(sideways.T @ sideways / len(rotations) - 0.05 * torch.outer(mean, mean))
     up = vectors[:, 0]
     side = float(up @ mean)
     if abs(side) < 1e-6:  # cameras that were rolled in all directions

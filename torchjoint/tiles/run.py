@@ -197,8 +197,7 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
 
 def _result_name(file: Path) -> str:
     """The name of a file in a folder of results; X.copc.laz becomes X.laz, because the result is not COPC."""
-    is_copc = file.name.lower().endswith(COPC)
-    return f"{file.name[: -len(COPC)]}.laz" if is_copc else file.name
+    return f"{file.name[: -len(COPC)]}.laz" if file.name.lower().endswith(COPC) else file.name
 
 
 def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | None, hidden: bool | None) -> _Cut:

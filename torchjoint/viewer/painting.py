@@ -116,8 +116,7 @@ class RelationLines:
         labels = model.table[model.parts.of_point]
         if self._labels is None or not np.array_equal(labels, self._labels):
             scene = Scene(model.result.scene.points, up=torch.from_numpy(model.up))
-            found = relations(scene, Segmentation(torch.from_numpy(labels), ()))
-            self._labels, self._found = labels, found.relations
+            self._labels, self._found = labels, relations(scene, Segmentation(torch.from_numpy(labels), ())).relations
         ends, colors = lines(self._found, model.result.scene.points.numpy(), labels, model.selected)
         if len(ends):
             origin = middle_of(ends)
