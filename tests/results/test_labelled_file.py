@@ -6,6 +6,7 @@ import re
 import resource
 import shutil
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import laspy
@@ -437,6 +438,10 @@ class TestSurvey:
         write_labelled(tmp_path / "a.las", tmp_path / f"b{suffix}", {"label": np.arange(50)})
         made = (tmp_path / f"b{suffix}").read_bytes()
         assert made[int.from_bytes(made[227:235], "little") + 2 :].startswith(b"LASF_Spec")
+        cloud.scanner_channel = np.arange(50) % 2  # lazrs packs them wrongly
+        cloud.write(tmp_path / "c.las")
+        with pytest.raises(ValueError, match="waveforms") if suffix == ".laz" else nullcontext():
+            write_labelled(tmp_path / "c.las", tmp_path / f"d{suffix}", {"label": np.arange(50)})
 
     def test_a_wrong_name_leads_to_the_cloud(self, survey, run, tmp_path):
         with pytest.raises(SystemExit, match=r"sit\.laz does not exist; the cloud of this result is .*points\.ply"):

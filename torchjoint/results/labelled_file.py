@@ -74,6 +74,9 @@ def write_labelled(
         packed, backend = out.suffix.lower() == ".laz", laz_backend(laspy)
         with _disk_errors(out), laspy.open(out, "w", laz_backend=backend, header=header, do_compress=packed) as writer:
             for chunk in las_chunks(reader, path):
+                # lazrs 0.8 packs these wrongly.
+                if packed and header.point_format.id in (9, 10) and np.unique(chunk.scanner_channel).size > 1:
+                    raise ValueError(f"{path}: LAZ loses waveforms of several scanner channels; give -o OUT.las")
                 record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=writer.header)
                 for name in chunk.array.dtype.names:  # the stored numbers, not scaled coordinates: an exact copy
                     record.array[name] = chunk.array[name]
