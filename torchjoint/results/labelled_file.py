@@ -49,6 +49,10 @@ def check_dimension(path: Path, name: str, way_out: str = "remove it first") -> 
     with open_las(path) as reader:
         if name in {*reader.header.point_format.dimension_names, *"xyz"}:
             raise ValueError(f"{path}: expected no dimension {name}, got one; {way_out}")
+        most = max((one.num_elements for one in reader.header.point_format.extra_dimensions), default=0)
+        if most > 7:  # laspy writes this number where it looks for marks of a scale and an offset, 8 and 16
+            told = f"expected at most 7 undocumented bytes behind each point, got {most}"
+            raise ValueError(f"{path}: {told}; `pdal translate` leaves them out")
 
 
 def write_labelled(
@@ -108,6 +112,8 @@ def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> 
     header = deepcopy(given)
     header.vlrs = [record for record in header.vlrs if type(record).__name__ not in _STORAGE]
     header.evlrs = None
+    if header.version.minor == 0:  # laspy writes from 1.1 on
+        header.version = laspy.header.Version(1, 2)
     for name, values in columns.items():
         header.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype, "of torchjoint"))
     return header
