@@ -266,8 +266,7 @@ def embed(
     vectors: dict[int, Tensor] = {}
     for record in records:
         views = sorted(record.views, key=lambda view: (-view.pixels, view.frame))[:CANDIDATES]
-        pixels = {view.frame: view.pixels for view in views}
-        crops = crops_of(scene, result, record.id, pixels, cameras, k, margin)
+        crops = crops_of(scene, result, record.id, {view.frame: view.pixels for view in views}, cameras, k, margin)
         if crops:
             # The thing alone, and with what is around it.
             inputs = [one for crop in crops for one in (torch.where(crop.mask, crop.image, GREY), crop.image)]

@@ -81,8 +81,7 @@ def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
         return None
     candidates = near[:: -(-len(near) // 500)]
     flat = math.cos(math.radians(FLAT))
-    score = (candidates @ near.T > flat).sum(1) * (candidates @ up).square()
-    best = candidates[int(score.argmax())]
+    best = candidates[int(((candidates @ near.T > flat).sum(1) * (candidates @ up).square()).argmax())]
     for _ in range(3):
         best = torch.nn.functional.normalize(near[near @ best > flat].mean(0), dim=0)
     return best if int((near @ best > flat).sum()) >= SMALLEST_SHARE * len(normals) else None
