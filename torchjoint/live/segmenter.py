@@ -118,8 +118,7 @@ class Keyframe(NamedTuple):
     def opened(self) -> tuple[Frame, ImageSegments]:
         """The frame as steps 1 and 2 saw it, and their results."""
         frame = Frame(_image(self.image), self.intrinsics, self.world_to_camera, name=self.name)
-        segments = ImageSegments(_image(self.boundary), self.labels.unpack().long(), self.masks)
-        return frame, segments
+        return frame, ImageSegments(_image(self.boundary), self.labels.unpack().long(), self.masks)
 
     def measured(self) -> Frame | None:
         """The frame as it was taken, with its depth; None: no depth was kept."""

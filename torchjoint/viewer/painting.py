@@ -69,8 +69,7 @@ def painted(model: Model, index: int, opacity: float) -> Bytes:
 
 def _blend(image: Any, labels: Table, colors: Any, shown: Any, opacity: float) -> Bytes:
     blended = np.where(shown[..., None], image + (colors - image) * opacity, image)
-    border = borders(torch.from_numpy(labels)).numpy()
-    return np.where(border[..., None], 255.0, blended).round().astype(np.uint8)
+    return np.where(borders(torch.from_numpy(labels)).numpy()[..., None], 255.0, blended).round().astype(np.uint8)
 
 
 def _truth_image(result: Result, index: int) -> Table:
