@@ -158,10 +158,12 @@ def test_decimal_commas_in_quotes(tmp_path):
     (tmp_path / "a.csv").write_text('"1,5","2,5","3,5"\n')
     with pytest.raises(ValueError, match=r"a\.csv: expected decimal points, got commas inside of quotes"):
         read_cloud_file(tmp_path / "a.csv")
-    (tmp_path / "a.csv").write_text('"1,5";"2,5";"3,5"\n')
-    assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1.5, 2.5, 3.5]]
+    (tmp_path / "a.csv").write_text('1;2;3\n"1,5";"2,5";"3,5"\n')
+    assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1, 2, 3], [1.5, 2.5, 3.5]]
     (tmp_path / "a.csv").write_text('"1.5","2.5","3.5"\n')
     assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1.5, 2.5, 3.5]]
+    (tmp_path / "a.csv").write_text("x, y, z,label\n1, 2, 3,7\n")  # as `torchjoint label` adds a column
+    assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1, 2, 3]]
 
 
 @pytest.mark.parametrize("by", [" ", ","])
