@@ -144,6 +144,12 @@ def test_ties_take_the_lowest_index():
     assert transfer_labels(torch.arange(50), torch.zeros(50, 3), middle).tolist() == [0, 0, 0]
 
 
+def test_many_equal_points_take_little_memory():
+    """As beams without return: each was a candidate for each."""
+    points = torch.cat([torch.ones(1, 3), torch.zeros(100_000, 3)])
+    assert transfer_labels(torch.arange(len(points)), points, points).unique().tolist() == [0, 1]
+
+
 def test_labels_there_and_back():
     points = cloud(3)
     labels = tj.superpoints(points)

@@ -309,8 +309,7 @@ class JointSegmenter(nn.Module):
         with one_thread_per_operation(), self.stopwatch("point graph"):
             self._given = given.points
             graph, self._method = prepare(given, self.config, self.merge_within, self._own_method)
-            of_given = torch.full((num_given,), -1).index_copy_(0, kept, graph.of_given)
-            self._graph = graph.of(graph.local, of_given)
+            self._graph = graph.of(graph.local, torch.full((num_given,), -1).index_copy_(0, kept, graph.of_given))
             if self.granularity != 0.5 and not self._method.has_levels:
                 raise ValueError(f"granularity: expected 0.5, because method {self._method.name} has one level")
             if self._graph.known_spacing is not None:

@@ -15,8 +15,10 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from torchjoint.cloud.local import distinct_points
 from torchjoint.config import SuperpointsConfig
 from torchjoint.oversegmentation import SuperpointsParameters, superpoints
+from torchjoint.runtime.groups import first_places
 from torchjoint.runtime.threads import num_threads
 from torchjoint.scene.checks import as_points
 
@@ -125,7 +127,7 @@ def transfer_labels(
         >>> transfer_labels(torch.tensor([3, 4]), here, there, max_distance=0.5)
         tensor([ 3,  4, -1])
     """
-    source = as_points(from_points, "from_points").double().numpy()
+    source = as_points(from_points, "from_points").double()
     target = as_points(to_points, "to_points").double().numpy()
     if not isinstance(labels, Tensor):
         raise TypeError(f"labels: expected a torch.Tensor, got {type(labels).__name__}")
@@ -135,7 +137,9 @@ def transfer_labels(
         raise ValueError(f"max_distance: expected a number >= 0 or None, got {max_distance}")
     if max_distance is not None and not labels.dtype.is_signed:
         raise TypeError(f"labels: expected a dtype that has -1 (max_distance is given), got {labels.dtype}")
-    index, distance = _nearest(source, target)
+    if (same := distinct_points(source)) is not None:  # thousands of equal points would all be equally near
+        labels, source = labels[first := first_places(same)], source[first]
+    index, distance = _nearest(source.numpy(), target)
     result = labels[torch.from_numpy(index)]
     if max_distance is not None:
         result[torch.from_numpy(distance > max_distance)] = -1
@@ -153,8 +157,7 @@ def _nearest(source: Any, target: Any) -> tuple[Any, Any]:
         tied = found == found[:, :1]
         nearest[open_] = np.where(tied, index, len(source)).min(axis=1)
         distance[open_] = found[:, 0]
-        more = tied[:, -1] & (count < len(source))
-        open_, count = open_[more], min(4 * count, len(source))
+        open_, count = open_[tied[:, -1] & (count < len(source))], min(4 * count, len(source))
     return nearest, distance
 
 

@@ -69,6 +69,7 @@ class TestLabelsAndStacks:
             (STACK * torch.nan, "stack: expected booleans"),
             (STACK[0], r"stack: expected shape \[M, H, W\], got \[3, 4\]"),
             (STACK.tolist(), "stack: expected a torch.Tensor or a NumPy array, got list"),
+            (STACK.to_sparse(), "stack: expected a dense tensor of real numbers, got torch.sparse_coo, torch.bool"),
             (np.array(["a"]), "stack: expected numbers or booleans, got dtype <U1"),
         ],
     )

@@ -189,11 +189,11 @@ def test_a_coco_file_of_cvat(tmp_path):
     }
     path = tmp_path / "instances_default.json"
     path.write_text(json.dumps(record))
-    masks = tj.masks.read_folder(path, scene_of("a")).frames[0].masks
-    assert (masks.ids, masks.names) == ((1, 2, 3), ("object", "chair", "object"))
+    with pytest.warns(UserWarning, match=r"default\.json: 1 of 3 annotations have no polygon; they are left out"):
+        masks = tj.masks.read_folder(path, scene_of("a")).frames[0].masks
+    assert (masks.ids, masks.names) == ((1, 2), ("object", "chair"))
     assert masks.stack()[0].nonzero().tolist() == [[y, x] for y in range(2) for x in range(3)]
     assert masks.stack()[1].nonzero().tolist() == [[y, x] for y in range(1, 4) for x in range(2, 5)]
-    assert not masks.stack()[2].any()  # a rectangle is no mask
 
 
 @pytest.mark.parametrize(("stems", "ids"), [("37b", (3, 7, 0)), ("0ab", (0, 1, 2)), ("ab", (0, 1)), ("9", (9,))])

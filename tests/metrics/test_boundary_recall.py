@@ -71,7 +71,7 @@ def test_tolerance_by_hand():
 def test_edges_at_void_neither_count_nor_help():
     target = torch.tensor([0, 0, -1, 1, 1, 2])
     pred = torch.tensor([0, 0, 1, 2, 2, 2])  # its only borders are at the void point
-    assert boundary_recall(pred, target, chain(6), tolerance=5) == 0.0
+    assert boundary_recall(pred, target, chain(6), tolerance=10**12) == 0.0
     assert boundary_recall(pred, torch.tensor([0, 0, -1, 1, 1, 1]), chain(6)) == 1.0  # no border left to miss
 
 

@@ -391,6 +391,7 @@ ONES = torch.ones(4, dtype=torch.int64)
         ([1, 1, 1, 1], ONES, TypeError, "pred: expected an integer tensor, got list"),
         (ONES, ONES.numpy(), TypeError, "target: expected an integer tensor, got ndarray"),
         (ONES, None, TypeError, "target: expected an integer tensor, got NoneType"),
+        (ONES, ONES.to_sparse(), TypeError, "target: expected an integer tensor, got torch.sparse_coo"),
         (ONES, [1, 1, 1, 1], TypeError, r"target\[0\]: expected an integer tensor, got int"),
         (ONES, [], ValueError, "target: expected at least one ground truth, got an empty sequence"),
         (ONES, -ONES, ValueError, r"target: expected at least one label >= 0, got nothing but -1 \(void\)"),

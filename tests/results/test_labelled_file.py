@@ -6,6 +6,7 @@ import re
 import resource
 import shutil
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import laspy
@@ -22,7 +23,7 @@ from torchjoint.datasets.formats import cloud_alone
 from torchjoint.results import labelled_file
 from torchjoint.results.exports.clouds import export_las
 from torchjoint.results.folder import write_result
-from torchjoint.results.labelled_file import label_file, nearest_labels, part_files, write_labelled
+from torchjoint.results.labelled_file import check_dimension, label_file, nearest_labels, part_files, write_labelled
 
 
 def result_of(points, labels, colors=None):
@@ -437,6 +438,25 @@ class TestSurvey:
         write_labelled(tmp_path / "a.las", tmp_path / f"b{suffix}", {"label": np.arange(50)})
         made = (tmp_path / f"b{suffix}").read_bytes()
         assert made[int.from_bytes(made[227:235], "little") + 2 :].startswith(b"LASF_Spec")
+        cloud.scanner_channel = np.arange(50) % 2  # lazrs packs them wrongly
+        cloud.write(tmp_path / "c.las")
+        with pytest.raises(ValueError, match="waveforms") if suffix == ".laz" else nullcontext():
+            write_labelled(tmp_path / "c.las", tmp_path / f"d{suffix}", {"label": np.arange(50)})
+
+    def test_early_versions_and_undocumented_bytes(self, tmp_path):
+        """laspy writes no LAS 1.0, and cannot read again what it writes for 8 bytes and more."""
+        cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))
+        cloud.xyz = np.eye(3)
+        cloud.write(tmp_path / "a.las")
+        data = bytearray((tmp_path / "a.las").read_bytes())
+        data[25] = 0
+        (tmp_path / "a.las").write_bytes(data)
+        write_labelled(tmp_path / "a.las", tmp_path / "b.las", {"label": np.arange(3)})
+        assert laspy.read(tmp_path / "b.las")["label"].tolist() == [0, 1, 2]
+        data[104] = 0  # the other 14 of 34 bytes have no meaning then
+        (tmp_path / "a.las").write_bytes(data)
+        with pytest.raises(ValueError, match=r"a\.las: expected at most 7 undocumented bytes .*, got 14"):
+            check_dimension(tmp_path / "a.las", "label")
 
     def test_a_wrong_name_leads_to_the_cloud(self, survey, run, tmp_path):
         with pytest.raises(SystemExit, match=r"sit\.laz does not exist; the cloud of this result is .*points\.ply"):

@@ -136,6 +136,11 @@ def rotation_scaled(factor):
             r"masks of frame 'f': expected \[M, H, W\], got \[H, W, M",
         ),
         ({"labels": torch.ones(48, 64)}, TypeError, r"labels of frame 'f': expected an integer dtype"),
+        (
+            {"labels": torch.ones(48, 64).long().to_sparse()},
+            TypeError,
+            "labels of frame 'f': .*int64, torch.sparse_coo",
+        ),
         ({"name": 5}, TypeError, "name: expected a text, got 5"),
         ({"depth": torch.ones(48, 64).to_sparse()}, TypeError, "depth of frame 'f': expected a dense tensor, got one"),
         ({"labels": torch.full((48, 64), -2)}, ValueError, r"labels of frame 'f': expected labels >= -1.*got -2"),
@@ -163,6 +168,11 @@ def test_bad_frames(change, error, message):
         ({"points": torch.zeros(5, 3) * 1j}, TypeError, "points: expected a floating dtype, got torch.complex64"),
         ({"points": torch.zeros(5, 3, device="meta")}, ValueError, "points: expected a CPU tensor, got one on meta"),
         ({"points": torch.zeros(5, 3), "colors": torch.zeros(4, 3)}, ValueError, r"colors: expected shape \[5, 3\]"),
+        (
+            {"points": torch.zeros(5, 3), "colors": torch.eye(5).to_sparse()},
+            TypeError,
+            "colors: expected a dense tensor",
+        ),
         (
             {"points": torch.full((5, 3), 5.4e13)},
             ValueError,

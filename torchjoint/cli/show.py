@@ -70,6 +70,8 @@ def show(
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
     is_folder = not has_file(out)
     page = None if static is None else output_file(static, overwrite, parts_of(out), "--static")
+    if static is not None and static.suffix.lower() not in (".html", ".htm"):  # such as an image of the recording
+        raise ValueError(f"--static: expected a name that ends in .html, got {static}")
     result = _read(out, truth)
     if up is not None:
         result = replace(result, scene=replace(result.scene, up=as_direction(torch.tensor(up), "--up")))

@@ -143,6 +143,5 @@ def _split(nodes: Tensor | None, starts: list[int], name: str) -> list[Tensor | 
     if across.any():
         raise ValueError(f"{name}: expected points of one cloud, got {nodes[:, across][:, 0].tolist()} across clouds")
     order = torch.argsort(cloud[0], stable=True)
-    counts = torch.bincount(cloud[0], minlength=num_clouds).tolist()
-    parts = nodes[:, order].split(counts, dim=1)
+    parts = nodes[:, order].split(torch.bincount(cloud[0], minlength=num_clouds).tolist(), dim=1)
     return [part - start for part, start in zip(parts, starts[:-1], strict=True)]

@@ -149,8 +149,7 @@ def orientation_votes(graph: PointGraph, point: Tensor, world_to_camera: Tensor)
         point: [M] int64, the points that the camera sees.
         world_to_camera: [4, 4].
     """
-    towards_camera = camera_center(world_to_camera).float() - graph.points[point]
-    return dot(graph.normals[point], towards_camera).sign().long()
+    return dot(graph.normals[point], camera_center(world_to_camera).float() - graph.points[point]).sign().long()
 
 
 def orient_normals(graph: PointGraph, facing: Tensor) -> tuple[Tensor, Tensor]:

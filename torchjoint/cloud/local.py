@@ -157,8 +157,7 @@ def points_within(points: Tensor, side: float) -> Tensor:
         points: [N, 3] metres; the grid starts at their smallest coordinates.
         side: side of a cube, metres, > 0.
     """
-    scaled = (points.double() - points.double().amin(0)) / side
-    cell = distinct_points(scaled.floor())
+    cell = distinct_points(((points.double() - points.double().amin(0)) / side).floor())
     return torch.arange(len(points)) if cell is None else cell
 
 
@@ -167,9 +166,8 @@ def without_copies(cloud: Cloud) -> tuple[Cloud, Tensor | None]:
     found = distinct_points(cloud.points)
     if found is None:
         return cloud, None
-    merged = merged_points(cloud, found, int(found.max()) + 1)
     # The mean of equal float64 coordinates may be another number.
-    return replace(merged, points=cloud.points[first_places(found)]), found
+    return replace(merged_points(cloud, found, int(found.max()) + 1), points=cloud.points[first_places(found)]), found
 
 
 def _lower_median(values: Tensor) -> float:

@@ -133,10 +133,12 @@ def _find_scenes(path: Path) -> dict[str, Path]:
     for module in FORMATS.values():
         found: dict[str, Path] = getattr(module, "scenes", lambda _: {})(path)
         if found:
-            return found
-    inside = sorted(path.iterdir()) if has_folder(path) else []
-    found = {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
-    rest = [one for one in inside if one.name not in found and one.name[0] != "." and has_folder(one)]
+            break
+    else:
+        inside = sorted(path.iterdir()) if has_folder(path) else []
+        found = {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
+    beside = sorted({two for one in found.values() if one.is_dir() for two in one.parent.iterdir()} - {*found.values()})
+    rest = [one for one in beside if one.name[0] != "." and one.is_dir()]
     left = [one.name for one in rest if (names := set(os.listdir(one))) and RESULTS.isdisjoint(names)]
     if found and left:
         told = f"{path}: {len(left)} of {len(found) + len(left)} folders are of no known format, and are left out"

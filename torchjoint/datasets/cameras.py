@@ -72,8 +72,7 @@ class Camera:
             raise ValueError(f"{what}: expected depth of the image's size, as its camera gives none, got {got}")
         depth = None if depth is None else resize_depth(depth, size, name)
         if self.fisheye or any(self.distortion):
-            lens = (self.distortion, self.name, self.fisheye)
-            image, depth, intrinsics = undistort(image, depth, intrinsics, *lens)
+            image, depth, intrinsics = undistort(image, depth, intrinsics, self.distortion, self.name, self.fisheye)
         return Frame(image, intrinsics, world_to_camera, depth=depth, name=name)
 
 

@@ -342,8 +342,7 @@ def _meeting(one: Frame, other: Frame, motion: Tensor) -> _Meeting | None:
     step = max(1, math.isqrt(depths.numel() // SAMPLED))
     row, column = torch.nonzero(depths[::step, ::step] > 0).T * step
     depth = depths[row, column].double()
-    rays = torch.stack([column, row, torch.ones_like(row)]).double()
-    points = torch.linalg.inv(one.intrinsics) @ rays * depth
+    points = torch.linalg.inv(one.intrinsics) @ torch.stack([column, row, torch.ones_like(row)]).double() * depth
     x, y, z = other.intrinsics @ (motion[:3, :3] @ points + motion[:3, 3:])
     z = torch.where(z > 0, z, torch.nan)
     u, v = (x / z).round(), (y / z).round()

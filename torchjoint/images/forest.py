@@ -63,8 +63,7 @@ class Forest:
     trees_per_site: int = 4  #: number of trees that vote at one image site; neighbouring sites use different trees
 
     def __post_init__(self) -> None:
-        no_image = torch.empty(0, 3, 1, 1, dtype=torch.float32, device="cpu")
-        structured_forest(no_image, *self.tensors())  # it checks them
+        structured_forest(torch.empty(0, 3, 1, 1, dtype=torch.float32, device="cpu"), *self.tensors())  # it checks them
 
     def tensors(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, int]:
         """The arguments of the operator."""

@@ -59,8 +59,7 @@ def segment_image(image: Tensor, boundary: Tensor, graph: ImageGraphConfig, segm
         [H, W] int64 labels 0, 1, 2, ... in the order of their first pixel, row by row.
     """
     # The edges of large images take 64 bytes a pixel: too much to keep.
-    edges = grid_edges if boundary.numel() <= KEPT_PIXELS else grid_edges.__wrapped__
-    edge_index = edges(*boundary.shape)
+    edge_index = (grid_edges if boundary.numel() <= KEPT_PIXELS else grid_edges.__wrapped__)(*boundary.shape)
     weight = pixel_weights(image, boundary, graph)
     return ops.felzenszwalb(edge_index, weight, boundary.numel(), segments.scale, segments.min_size).view_as(boundary)
 

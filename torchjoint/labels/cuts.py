@@ -84,8 +84,7 @@ def merge_segments(labels: Tensor, visible: Visible, point_labels: Tensor, confi
     n_all, n_internal = (torch.zeros_like(keys).index_add(0, of_key, counts) for counts in (pairs.num_pairs, internal))
     merging = keys[n_internal.float() / n_all >= config.merge_ratio]
     component = ops.connected_components(torch.stack([merging // num_labels, merging % num_labels]), num_labels)
-    lowest = first_places(component, num_labels)
-    return look_up(lowest[component].to(labels.dtype), labels, -1)
+    return look_up(first_places(component, num_labels)[component].to(labels.dtype), labels, -1)
 
 
 #: Largest number of rounds. Each round cuts a segment, or a part of one, in two; so a segment gets at most 256 parts.

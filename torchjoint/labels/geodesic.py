@@ -182,8 +182,7 @@ def _keep_unseen(labels: Tensor, hit: Tensor, initial: Tensor, first_free: int) 
     if sparse.any():
         spacing = math.sqrt(hit.numel() / num_points)
         far = _no_hit_within(hit, math.floor(math.sqrt(UNSEEN) * spacing / 2))
-        num_far = torch.bincount(segment[far.view(-1)], minlength=num_initial + 1)[1:]
-        unseen |= sparse & (2 * num_far > area)
+        unseen |= sparse & (2 * torch.bincount(segment[far.view(-1)], minlength=num_initial + 1)[1:] > area)
         own_place = _no_hit_within(hit, math.floor(spacing)) | look_up(num_hit == 0, initial, False)
     if not unseen.any():
         return torch.where(initial < 0, initial.to(torch.int32), labels), first_free

@@ -94,6 +94,5 @@ def label_image(
     if config.point_segments.method == "paper":
         return cut(seen, labels_there, torch.bincount(point_labels), config)
     if seen.masks is not None:
-        spacing = graph.spacing[seen.visible.point]
-        return label_masks(seen, seen.masks, labels_there, spacing, unmasked, config)
+        return label_masks(seen, seen.masks, labels_there, graph.spacing[seen.visible.point], unmasked, config)
     return propagate(seen, labels_there, len(unmasked), config)

@@ -118,8 +118,7 @@ class Keyframe(NamedTuple):
     def opened(self) -> tuple[Frame, ImageSegments]:
         """The frame as steps 1 and 2 saw it, and their results."""
         frame = Frame(_image(self.image), self.intrinsics, self.world_to_camera, name=self.name)
-        segments = ImageSegments(_image(self.boundary), self.labels.unpack().long(), self.masks)
-        return frame, segments
+        return frame, ImageSegments(_image(self.boundary), self.labels.unpack().long(), self.masks)
 
     def measured(self) -> Frame | None:
         """The frame as it was taken, with its depth; None: no depth was kept."""
@@ -309,8 +308,7 @@ class LiveSegmenter(nn.Module):
         found = label(tree, graph, evidence, self.config, self.stopwatch, images=images)
         if self.granularity != 0.5:
             found = found.at(self.granularity)
-        side = CUBE * self._volume.voxel_size
-        place = ((points.double() - self._origin) / side).floor().long()
+        place = ((points.double() - self._origin) / (CUBE * self._volume.voxel_size)).floor().long()
         ids, changes = self._ids.name(place[:, 0] << 42 ^ place[:, 1] << 21 ^ place[:, 2], found.points)
         return LiveResult(Cloud(points, colors), found, ids, changes)
 
@@ -459,5 +457,4 @@ def _check(frames: Sequence[Frame]) -> None:
 
 def _frame_values(frame: Frame) -> dict[str, Any]:
     """The arguments of a frame for comparison."""
-    names = ("image", "intrinsics", "world_to_camera", "depth", "name")
-    return {name: getattr(frame, name) for name in names}
+    return {name: getattr(frame, name) for name in ("image", "intrinsics", "world_to_camera", "depth", "name")}

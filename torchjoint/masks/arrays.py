@@ -17,9 +17,11 @@ def as_tensor(values: Any, name: str) -> Tensor:
     """Converts a tensor or a NumPy array to a tensor on the CPU without gradient.
 
     Raises:
-        TypeError: neither of the two, or an array that has no numbers or booleans.
+        TypeError: neither of the two, or one that has no real numbers or booleans.
     """
     if isinstance(values, Tensor):
+        if values.dtype.is_complex or values.layout != torch.strided:
+            raise TypeError(f"{name}: expected a dense tensor of real numbers, got {values.layout}, {values.dtype}")
         return values.detach().cpu()
     if not isinstance(values, np.ndarray) or isinstance(values, np.ma.MaskedArray):
         raise TypeError(f"{name}: expected a torch.Tensor or a NumPy array, got {type(values).__name__}")

@@ -24,7 +24,8 @@ def from_coco(
     Args:
         annotations: a dict for each mask: ``segmentation`` (polygons, or run lengths, compressed or not), and an
             optional ``score`` in [0, 1]. If all have an ``id``, the masks have it, too. Groups of things
-            (``iscrowd: 1``) are left out, with a warning; indices in messages do not count them.
+            (``iscrowd: 1``) and empty lists of polygons are left out, with a warning; indices in messages do not count
+            them.
         size: (H, W) of the image.
         categories: names of ``category_id``; then the masks have names.
 
@@ -34,7 +35,7 @@ def from_coco(
     >>> from_coco([{"segmentation": [[1, 0, 3, 0, 3, 2, 1, 2]]}], (2, 4))
     Masks(1 masks, 2 x 4 pixels, 50% covered)
     """
-    annotations = _without_groups(annotations, "annotations")
+    annotations = _with_pixels(annotations, "annotations")
     scores = torch.tensor([_score(one, f"annotations[{i}]") for i, one in enumerate(annotations)], dtype=torch.float32)
     check_declared((annotation["segmentation"] for annotation in annotations), size, "annotations")
     masks = (_pixels(one, size, f"annotations[{index}]'s segmentation") for index, one in enumerate(annotations))
@@ -46,13 +47,18 @@ def from_coco(
     return replace(found, ids=tuple(ids) if len(ids) == len(found) else (), names=tuple(names))
 
 
-def _without_groups(annotations: Sequence[Mapping[str, Any]], name: str) -> list[Mapping[str, Any]]:
-    """The annotations of single things. CVAT says iscrowd of each mask of its brush, and alone writes attributes."""
-    groups = [isinstance(one, Mapping) and one.get("iscrowd") == 1 and "attributes" not in one for one in annotations]
-    if any(groups):
-        told = f"{sum(groups)} of {len(groups)} masks are groups of things (iscrowd: 1); they are left out"
-        warnings.warn(f"{name}: {told}", stacklevel=3)
-    return [one for one, is_group in zip(annotations, groups, strict=True) if not is_group]
+def _with_pixels(annotations: Sequence[Mapping[str, Any]], name: str) -> list[Mapping[str, Any]]:
+    """The annotations of single things that have a mask.
+
+    CVAT says iscrowd of each mask of its brush, and alone writes attributes; the segmentation of its rectangles is [].
+    """
+    records = [one if isinstance(one, Mapping) else {} for one in annotations]
+    groups = [one.get("iscrowd") == 1 and "attributes" not in one for one in records]
+    bare = [isinstance(one.get("segmentation"), list) and not one["segmentation"] for one in records]
+    for left, what in ((groups, "masks are groups of things (iscrowd: 1)"), (bare, "annotations have no polygon")):
+        if any(left):
+            warnings.warn(f"{name}: {sum(left)} of {len(left)} {what}; they are left out", stacklevel=3)
+    return [one for one, *left in zip(annotations, groups, bare, strict=True) if not any(left)]
 
 
 def _pixels(annotation: Mapping[str, Any], size: tuple[int, int], name: str) -> Pixels:
@@ -97,7 +103,7 @@ class CocoFile:
         with damage_is(f"{path}: expected images with file_name and id, annotations with image_id"):
             self._images = {PureWindowsPath(image["file_name"]).stem: image for image in data["images"]}
             self._annotations = dict_of([(image["id"], []) for image in data["images"]], "image")
-            annotations = _without_groups(data["annotations"], str(path))
+            annotations = _with_pixels(data["annotations"], str(path))
             for annotation in annotations:
                 self._annotations[annotation["image_id"]].append(annotation)
             named = [(one["id"], str(one["name"])) for one in data.get("categories", []) if "name" in one]

@@ -132,8 +132,7 @@ def polygon_pixels(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> n
 def work_of(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> tuple[int, int]:
     """What :func:`polygon_pixels` takes: the pixels of the polygon's window, and the rows of its edges there."""
     window = Window(corners, size)
-    rows = _rows_of_edges(corners[:, 1] - window.row, window.size[0])[1]
-    return window.size[0] * window.size[1], int(rows.sum())
+    return window.size[0] * window.size[1], int(_rows_of_edges(corners[:, 1] - window.row, window.size[0])[1].sum())
 
 
 def _strip_pixels(corners: npt.NDArray[np.float64], window: Window, start: int, height: int) -> npt.NDArray[np.int64]:

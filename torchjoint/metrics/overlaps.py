@@ -15,7 +15,9 @@ INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
 
 def check_integers(values: object, told: str) -> None:
     """Raises TypeError, whose message begins with `told`, unless the values are a tensor of integers."""
-    got = values.dtype if isinstance(values, Tensor) else type(values).__name__
+    got: object = type(values).__name__
+    if isinstance(values, Tensor):
+        got = values.dtype if values.layout == torch.strided else values.layout
     if got not in INTEGERS:
         raise TypeError(f"{told}, got {got}")
 
@@ -77,8 +79,7 @@ class Overlaps:
         self.pred, self.target = key // num_target, key % num_target  # [E], ascending
         self.pred_area = torch.bincount(pred, minlength=num_pred)  # [P]; 0 where this ground truth is void
         self.target_area = torch.bincount(target)  # [T]
-        areas = self.pred_area[self.pred] + self.target_area[self.target]
-        iou = self.count.double() / (areas - self.count)
+        iou = self.count.double() / (self.pred_area[self.pred] + self.target_area[self.target] - self.count)
         self.precision = self.count.double() / self.pred_area[self.pred]
         self.recall = self.count.double() / self.target_area[self.target]
         self.best_iou_of_pred = largest(iou, self.pred, num_pred)

@@ -157,8 +157,8 @@ def _checked_scores(scores: Tensor | None, labels: Tensor | None, count: int) ->
     """The score of each instance, [K] float64."""
     if scores is None:
         return torch.ones(count, dtype=torch.float64)
-    if not isinstance(scores, Tensor):
-        raise TypeError(f"scores: expected a tensor, got {type(scores).__name__}")
+    if not isinstance(scores, Tensor) or scores.is_complex() or scores.layout != torch.strided:
+        raise TypeError(f"scores: expected a tensor of real numbers, got {getattr(scores, 'dtype', type(scores))}")
     if labels is not None:
         if scores.dim() != 1 or (len(labels) and int(labels[-1]) >= len(scores)):
             highest = int(labels[-1]) if len(labels) else -1

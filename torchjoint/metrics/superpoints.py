@@ -95,7 +95,7 @@ def _recall(crossing: Tensor, target: Tensor, source: Tensor, sink: Tensor, tole
         return int(found[border].sum()) / len(border)
     reached = torch.zeros(len(target), dtype=torch.bool)
     _reach(reached, places(found), source, sink)
-    for _ in range(tolerance - 1):
+    for _ in range(min(tolerance, len(target)) - 1):  # no path has more edges
         found = (reached[source] | reached[sink]).logical_and_(inside)
         _reach(reached, places(found), source, sink)
     return int((reached[source[border]] | reached[sink[border]]).sum()) / len(border)

@@ -53,8 +53,7 @@ class Tables:
     def earlier_memory(self) -> dict[str, float]:
         """Reads the peak memory by scene from the summary of an earlier run; the results do not contain it."""
         try:
-            text = read_text(self.folder / SUMMARY, "a table")
-            rows = list(csv.DictReader(io.StringIO(text)))
+            rows = list(csv.DictReader(io.StringIO(read_text(self.folder / SUMMARY, "a table"))))
             return {
                 row["scene"].removeprefix("'"): float(row["peak_memory_mb"]) for row in rows if row["peak_memory_mb"]
             }

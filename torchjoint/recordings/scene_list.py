@@ -112,5 +112,4 @@ def _name(path: Path, has_suffix: bool, depth: int) -> str:
 def _parts(path: Path, has_suffix: bool = False) -> list[str]:
     """The names of the folders above a recording, then its own name."""
     absolute = path.absolute()
-    own = absolute.stem if os.path.isfile(path) and not has_suffix else absolute.name
-    return [*absolute.parent.parts[1:], own]
+    return [*absolute.parent.parts[1:], absolute.stem if os.path.isfile(path) and not has_suffix else absolute.name]

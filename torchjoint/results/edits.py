@@ -169,8 +169,10 @@ class Edits:
         yield (table := first_superpoints(table))
         for step in (one for one in self.steps if one.kind != "name"):
             if step.kind == "join":
-                ends = [table[superpoint] for superpoint in step.superpoints]
-                table = np.where(np.isin(table, ends), min(ends), table)
+                one, other = sorted(table[list(step.superpoints)].tolist())
+                if one == other:  # at most P - 1 joins change something
+                    continue
+                table = np.where(table == other, one, table)
             elif step.kind == "split":
                 table = split(table, step.superpoints, hierarchy)
             elif step.kind == "gather":

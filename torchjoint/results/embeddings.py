@@ -203,8 +203,7 @@ class Embeddings:
         path = Path(path)
         rows = self._rows(path) if has_folder(path) else None
         file = path if rows is None else path / FILE
-        arrays = {"vectors": self.vectors.numpy(), "labels": self.labels.to(torch.int32).numpy()}
-        write_archive(no_link(file), arrays)
+        write_archive(no_link(file), {"vectors": self.vectors.numpy(), "labels": self.labels.to(torch.int32).numpy()})
         if rows is not None:
             add_to_segments(path, {"embeddings": FILE}, embedding=rows)
 
@@ -266,8 +265,7 @@ def embed(
     vectors: dict[int, Tensor] = {}
     for record in segment_records(scene, result):
         views = sorted(record.views, key=lambda view: (-view.pixels, view.frame))[:CANDIDATES]
-        pixels = {view.frame: view.pixels for view in views}
-        crops = crops_of(scene, result, record.id, pixels, cameras, k, margin)
+        crops = crops_of(scene, result, record.id, {view.frame: view.pixels for view in views}, cameras, k, margin)
         if crops:
             # The thing alone, and with what is around it.
             inputs = [one for crop in crops for one in (torch.where(crop.mask, crop.image, GREY), crop.image)]

@@ -49,6 +49,10 @@ def check_dimension(path: Path, name: str, way_out: str = "remove it first") -> 
     with open_las(path) as reader:
         if name in {*reader.header.point_format.dimension_names, *"xyz"}:
             raise ValueError(f"{path}: expected no dimension {name}, got one; {way_out}")
+        most = max((one.num_elements for one in reader.header.point_format.extra_dimensions), default=0)
+        if most > 7:  # laspy writes this number where it looks for marks of a scale and an offset, 8 and 16
+            told = f"expected at most 7 undocumented bytes behind each point, got {most}"
+            raise ValueError(f"{path}: {told}; `pdal translate` leaves them out")
 
 
 def write_labelled(
@@ -74,6 +78,9 @@ def write_labelled(
         packed, backend = out.suffix.lower() == ".laz", laz_backend(laspy)
         with _disk_errors(out), laspy.open(out, "w", laz_backend=backend, header=header, do_compress=packed) as writer:
             for chunk in las_chunks(reader, path):
+                # lazrs 0.8 packs these wrongly.
+                if packed and header.point_format.id in (9, 10) and np.unique(chunk.scanner_channel).size > 1:
+                    raise ValueError(f"{path}: LAZ loses waveforms of several scanner channels; give -o OUT.las")
                 record = laspy.ScaleAwarePointRecord.zeros(len(chunk), header=writer.header)
                 for name in chunk.array.dtype.names:  # the stored numbers, not scaled coordinates: an exact copy
                     record.array[name] = chunk.array[name]
@@ -105,6 +112,8 @@ def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> 
     header = deepcopy(given)
     header.vlrs = [record for record in header.vlrs if type(record).__name__ not in _STORAGE]
     header.evlrs = None
+    if header.version.minor == 0:  # laspy writes from 1.1 on
+        header.version = laspy.header.Version(1, 2)
     for name, values in columns.items():
         header.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype, "of torchjoint"))
     return header

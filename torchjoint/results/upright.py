@@ -53,9 +53,8 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
     """The upward direction according to the poses, and its largest error in degrees."""
     rotations = _rotations(scene, 32)
     sideways, mean = rotations[:, 0], -rotations[:, 1].mean(0)
-    spread = sideways.T @ sideways / len(rotations)
     # One direction is across all x axes if the cameras turned, else several are: the mean of the -y axes decides.
-    values, vectors = torch.linalg.eigh(spread - 0.05 * torch.outer(mean, mean))
+    values, vectors = torch.linalg.eigh(sideways.T @ sideways / len(rotations) - 0.05 * torch.outer(mean, mean))
     up = vectors[:, 0]
     side = float(up @ mean)
     if abs(side) < 1e-6:  # cameras that were rolled in all directions
@@ -82,8 +81,7 @@ def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
         return None
     candidates = near[:: -(-len(near) // 500)]
     flat = math.cos(math.radians(FLAT))
-    score = (candidates @ near.T > flat).sum(1) * (candidates @ up).square()
-    best = candidates[int(score.argmax())]
+    best = candidates[int(((candidates @ near.T > flat).sum(1) * (candidates @ up).square()).argmax())]
     for _ in range(3):
         best = torch.nn.functional.normalize(near[near @ best > flat].mean(0), dim=0)
     return best if int((near @ best > flat).sum()) >= SMALLEST_SHARE * len(normals) else None

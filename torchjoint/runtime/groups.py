@@ -73,8 +73,7 @@ def best_of_groups(group: Tensor, value: Tensor, score: Tensor, count: int) -> t
     """
     best = score.new_zeros(count).scatter_reduce_(0, group, score, "amax", include_self=False)
     wins = score == best[group]
-    none = torch.full((count,), -1)
-    return none.scatter_reduce_(0, group[wins], value[wins], "amin", include_self=False), best
+    return torch.full((count,), -1).scatter_reduce_(0, group[wins], value[wins], "amin", include_self=False), best
 
 
 def counted_pairs(one: Tensor, other: Tensor, count: Tensor | None = None) -> Tensor:
@@ -136,8 +135,7 @@ def members_of_groups(size: Tensor, groups: Tensor) -> tuple[Tensor, Tensor]:
     """
     count = size[groups]
     index = torch.repeat_interleave(torch.arange(len(groups)), count)
-    shift = (size.cumsum(0) - size)[groups] - (count.cumsum(0) - count)
-    return index, torch.arange(len(index)) + shift[index]
+    return index, torch.arange(len(index)) + ((size.cumsum(0) - size)[groups] - (count.cumsum(0) - count))[index]
 
 
 def find(ascending: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:

@@ -137,8 +137,8 @@ def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Te
     """Checks labels of shape `size`: integers >= -1, or bool (True -> 0, False -> -1 = none); returns them as int64."""
     if not isinstance(labels, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(labels).__name__}")
-    if labels.dtype.is_floating_point or labels.dtype.is_complex:
-        raise TypeError(f"{name}: expected an integer dtype, got {labels.dtype}")
+    if labels.dtype.is_floating_point or labels.dtype.is_complex or labels.layout != torch.strided:
+        raise TypeError(f"{name}: expected an integer dtype, got {labels.dtype}, {labels.layout}")
     check_shape(labels, size, name)
     if labels.dtype == torch.bool:
         return torch.where(labels, 0, -1)

@@ -92,6 +92,8 @@ def _in_unit_range(colors: Tensor) -> Tensor:
     """Colours of 0 to 255, or of wider integers, divided by full brightness; others, and uint8, as they are."""
     if not isinstance(colors, Tensor) or colors.dtype in (torch.uint8, torch.bool) or not colors.numel():
         return colors
+    if colors.layout != torch.strided or colors.device.type != "cpu":
+        return colors  # as_float tells
     if colors.is_floating_point():
         low, high = map(float, colors.aminmax())
         if low >= 0 and high <= 255 == full_brightness(high):

@@ -213,8 +213,7 @@ def look(things: list[Thing], camera: Array, pose: Array, size: Sequence[int]) -
     lamp = (np.array([0.0, 0.0, 2.3]) - eye)[:, None, None] - rays * depth
     distance = np.sqrt(dot(lamp, lamp))
     light = 0.45 + 0.55 * np.maximum(dot(normal, lamp) / distance, 0) / (0.7 + 0.1 * distance**2)
-    facing = -dot(normal, rays) / np.sqrt(dot(rays, rays))
-    return View(labels, depth, facing, np.clip(color * light[..., None], 0, 1))
+    return View(labels, depth, -dot(normal, rays) / np.sqrt(dot(rays, rays)), np.clip(color * light[..., None], 0, 1))
 
 
 def _window(solid: Solid, camera: Array, pose: Array) -> tuple[slice, slice]:

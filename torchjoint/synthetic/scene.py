@@ -195,5 +195,4 @@ def _sample(rng: Rng, depths: list[Array], camera: Array, poses: list[Array], co
     z, (frame, row, column) = depth.ravel()[pixel], np.unravel_index(pixel, depth.shape)
     ahead = (column - camera[0, 2]) / camera[0, 0] * z, (row - camera[1, 2]) / camera[1, 1] * z, z
     pose = np.stack(poses)[frame].T
-    points = [dot(pose[i, :3], np.stack(ahead) - pose[3, :3]) for i in range(3)]
-    return np.stack(points, 1).astype(np.float32), pixel
+    return np.stack([dot(pose[i, :3], np.stack(ahead) - pose[3, :3]) for i in range(3)], 1).astype(np.float32), pixel

@@ -41,8 +41,7 @@ class Survey(NamedTuple):
 
     def cells(self, xy: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
         """The column and row [n, 2] of the cell of each position [n, 2], or of the nearest cell if it is outside."""
-        cell = np.floor((xy - self.origin[:2]) / self.side)
-        return cell.clip(0, np.array(self.counts.shape) - 1).astype(np.int64)
+        return np.floor((xy - self.origin[:2]) / self.side).clip(0, np.array(self.counts.shape) - 1).astype(np.int64)
 
     def spacing(self) -> float:
         """The typical distance of neighbouring points, metres: from the median density of the occupied cells."""

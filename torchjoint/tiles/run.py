@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from torchjoint.config import SuperpointsConfig
 from torchjoint.datasets.files import clouds
-from torchjoint.datasets.files.las import COPC, SUFFIXES, check_no_copc
+from torchjoint.datasets.files.las import COPC, SUFFIXES, check_header, check_no_copc
 from torchjoint.datasets.files.readers import fingerprint, unchanged
 from torchjoint.engine import EngineLike, open_engine
 from torchjoint.results.labelled_file import check_dimension, write_labelled
@@ -110,7 +110,7 @@ def superpoints_of_files(
     files = _files(cloud)
     _check_sizes(tile, buffer)
     _check_output(cloud, files, out, overwrite)
-    for file in files:
+    for file in (files := _with_points(files)):
         check_dimension(file, DIMENSION)
     work = out.with_name(f"{out.name}.tiles")
     busy = f"{out}: another run is writing this result; wait for it, or choose another output"
@@ -158,6 +158,14 @@ def _files(cloud: Path) -> list[Path]:
     return _in_folder(cloud)
 
 
+def _with_points(files: list[Path]) -> list[Path]:
+    kept = [file for file in files if check_header(file).num_points]
+    if 0 < len(kept) < len(files):
+        told = f"{len(files) - len(kept)} of {len(files)} files have no points, and are left out"
+        warnings.warn(f"{told}: {', '.join(file.name for file in files if file not in kept)[:200]}", stacklevel=3)
+    return kept or files
+
+
 def _check_sizes(tile: float | None, buffer: float | None) -> None:
     for name, value in (("tile", tile), ("buffer", buffer)):
         if value is not None and not 0 < value < float("inf"):
@@ -189,8 +197,7 @@ def _check_output(cloud: Path, files: Sequence[Path], out: Path, overwrite: bool
 
 def _result_name(file: Path) -> str:
     """The name of a file in a folder of results; X.copc.laz becomes X.laz, because the result is not COPC."""
-    is_copc = file.name.lower().endswith(COPC)
-    return f"{file.name[: -len(COPC)]}.laz" if is_copc else file.name
+    return f"{file.name[: -len(COPC)]}.laz" if file.name.lower().endswith(COPC) else file.name
 
 
 def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | None, hidden: bool | None) -> _Cut:

@@ -97,8 +97,7 @@ def _ranks(united: Ints, first: Ints, none: int) -> tuple[int, Ints]:
 
     Superpoints to which no point was given (`first` is `none`) do not unite others.
     """
-    united = united[(first[united] < none).all(1)]
-    group = ops.connected_components(torch.from_numpy(united).t(), len(first))
+    group = ops.connected_components(torch.from_numpy(united[(first[united] < none).all(1)]).t(), len(first))
     order = torch.from_numpy(first).argsort()
     rank = numbers_by_first_place(group[order], int(group.max()) + 1 if len(group) else 0)[group].numpy()
     return int(rank[first < none].max(initial=-1)) + 1, rank
@@ -113,5 +112,4 @@ def matching_superpoints(one: SharedLabels, other: SharedLabels) -> Ints:
     width = int(second.max()) + 1
     pair, count = np.unique(first * width + second, return_counts=True)
     pairs = np.stack([pair // width, pair % width], axis=1)
-    larger = np.maximum(np.bincount(first)[pairs[:, 0]], np.bincount(second)[pairs[:, 1]])
-    return pairs[2 * count > larger]
+    return pairs[2 * count > np.maximum(np.bincount(first)[pairs[:, 0]], np.bincount(second)[pairs[:, 1]])]

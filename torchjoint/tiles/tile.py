@@ -66,8 +66,7 @@ def _cells_of_one_tile(survey: Survey, plan: Plan) -> npt.NDArray[np.bool_]:
     """[columns, rows] whether the points of a cell are in one tile only: all cells within a buffer are of its tile."""
     width, none = 2 * math.ceil(plan.buffer / survey.side) + 1, np.iinfo(np.int32).max
     highest = maximum_filter(plan.of_cell, width, mode="nearest")
-    lowest = minimum_filter(np.where(plan.of_cell < 0, none, plan.of_cell), width, mode="nearest")
-    return highest == lowest
+    return highest == minimum_filter(np.where(plan.of_cell < 0, none, plan.of_cell), width, mode="nearest")
 
 
 def _copies(

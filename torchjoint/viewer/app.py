@@ -322,8 +322,7 @@ class Viewer:
         """Shows the result of other parameters; corrections that do not belong to it are dropped."""
         assert self._shown.run is not None  # without a run there are no parameters
         self._say("computing again ...", "blue")
-        values = {name: float(field.value) for name, field in self._panel.parameters.items()}
-        result = self._shown.run.compute(values)
+        result = self._shown.run.compute({name: float(field.value) for name, field in self._panel.parameters.items()})
         self._can_save = False
         self.replace(result)
         self._work_behind()

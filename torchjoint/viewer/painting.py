@@ -69,8 +69,7 @@ def painted(model: Model, index: int, opacity: float) -> Bytes:
 
 def _blend(image: Any, labels: Table, colors: Any, shown: Any, opacity: float) -> Bytes:
     blended = np.where(shown[..., None], image + (colors - image) * opacity, image)
-    border = borders(torch.from_numpy(labels)).numpy()
-    return np.where(border[..., None], 255.0, blended).round().astype(np.uint8)
+    return np.where(borders(torch.from_numpy(labels)).numpy()[..., None], 255.0, blended).round().astype(np.uint8)
 
 
 def _truth_image(result: Result, index: int) -> Table:
@@ -116,8 +115,7 @@ class RelationLines:
         labels = model.table[model.parts.of_point]
         if self._labels is None or not np.array_equal(labels, self._labels):
             scene = Scene(model.result.scene.points, up=torch.from_numpy(model.up))
-            found = relations(scene, Segmentation(torch.from_numpy(labels), ()))
-            self._labels, self._found = labels, found.relations
+            self._labels, self._found = labels, relations(scene, Segmentation(torch.from_numpy(labels), ())).relations
         ends, colors = lines(self._found, model.result.scene.points.numpy(), labels, model.selected)
         if len(ends):
             origin = middle_of(ends)

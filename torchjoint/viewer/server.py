@@ -216,8 +216,7 @@ def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int
     distance = float(np.linalg.norm(view.position - view.target))
     server.initial_camera.near = max(0.01, distance / 5000)  # depths have few bits, and are shaded by their differences
     shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, f"[{host}]" if ":" in host else host)
-    url = f"http://{shown}:{server.get_port()}/{token}/"
-    return server, distance, url
+    return server, distance, f"http://{shown}:{server.get_port()}/{token}/"
 
 
 def is_loopback(host: str) -> bool:

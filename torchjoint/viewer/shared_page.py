@@ -151,8 +151,7 @@ def _picture(parts: Parts, index: int) -> str:
     result, superpoints = parts.result, parts.image(index)
     photo = Image.new("RGB", superpoints.shape[::-1], (128, 128, 128))
     if len(result.scene.frames):
-        image = result.scene.frames[index].image
-        photo = Image.fromarray(_bytes(image.permute(1, 2, 0).numpy()))
+        photo = Image.fromarray(_bytes(result.scene.frames[index].image.permute(1, 2, 0).numpy()))
     photo.thumbnail((4 * HEIGHT, HEIGHT))
     (height, width), (columns, rows) = superpoints.shape, map(np.arange, photo.size)
     small = superpoints[rows[:, None] * height // len(rows), columns * width // len(columns)] + 1

@@ -142,8 +142,7 @@ def observe_frame(
     """
     with stopwatch("visibility"):
         pose = graph.local.pose(frame.world_to_camera)
-        camera = (frame.intrinsics, pose, frame.size)
-        visible = visible_points(graph.points, graph.spacing, *camera, config.visibility)
+        visible = visible_points(graph.points, graph.spacing, frame.intrinsics, pose, frame.size, config.visibility)
         facing = orientation_votes(graph, visible.point, pose)
     image, boundary = _to_8_bits(frame.image), _to_8_bits(segments.boundary)
     with stopwatch("propagation"):

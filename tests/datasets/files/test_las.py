@@ -116,6 +116,17 @@ def test_a_file_without_chunks(tmp_path, points_of_header):
         read_las(path)
 
 
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_a_wide_count_of_0_beside_the_narrow_one(tmp_path, suffix):
+    cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.4"))
+    cloud.xyz = np.eye(3)
+    cloud.write(tmp_path / f"a{suffix}")
+    data = bytearray((tmp_path / f"a{suffix}").read_bytes())
+    data[107:111], data[247:255] = (3).to_bytes(4, "little"), bytes(8)
+    (tmp_path / f"a{suffix}").write_bytes(data)
+    assert read_las(tmp_path / f"a{suffix}").points.tolist() == np.eye(3).tolist()
+
+
 def test_a_chunk_of_more_points_than_memory_holds(tmp_path):
     """lazrs makes room for a whole chunk, and would abort."""
     cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))

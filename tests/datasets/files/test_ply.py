@@ -91,7 +91,8 @@ def test_vertices_after_other_elements(tmp_path, order):
         row = [("x", f"{sign}f8"), ("n", "u1"), ("near", f"{sign}i2", (i,)), ("yz", f"{sign}f8", (2,))]
         body += np.array([(i, i, [9] * i, (0.5, -i), (65535, 0, 0))], [*row, ("c", f"{sign}u2", (3,))]).tobytes()
     data = header(f"binary_{order}_endian", *lines) + body
-    read = read_ply(written(tmp_path / "a.ply", data))
+    with pytest.warns(UserWarning, match=r"a\.ply: near: no position, normal or colour by these names; not used"):
+        read = read_ply(written(tmp_path / "a.ply", data))
     assert read.points.tolist() == [[i, 0.5, -i] for i in range(4)]
     assert read.points.dtype == torch.float64
     assert read.colors.tolist() == [[1, 0, 0]] * 4

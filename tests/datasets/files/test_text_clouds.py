@@ -107,6 +107,7 @@ def test_normals_without_a_negative_one_are_no_colours(tmp_path, suffix):
         ),
         ("31\n" + COLORED, r"line 1: 31 points are counted, got 30: is it truncated\?"),
         ("1,5 2,5 3,5\n", r"line 1: expected decimal points, got commas in '1,5 2,5 3,5'; replace them"),
+        ("1,5, 2,5, 3\n", r"line 1: expected decimal points, got commas in '1,5, 2,5, 3'; replace them"),
         ("x y z r g b\n" + text(RGB[:, :1], XYZ, RGB), "6 names of columns, x, y, z, r, g, b, but 7 numbers a row"),
         ("# nothing\n", "expected a row of x y z for each point, got no rows"),
         ("x,y,z,x\n1,2,3,4\n", "column 'x' is there twice"),
@@ -157,10 +158,12 @@ def test_decimal_commas_in_quotes(tmp_path):
     (tmp_path / "a.csv").write_text('"1,5","2,5","3,5"\n')
     with pytest.raises(ValueError, match=r"a\.csv: expected decimal points, got commas inside of quotes"):
         read_cloud_file(tmp_path / "a.csv")
-    (tmp_path / "a.csv").write_text('"1,5";"2,5";"3,5"\n')
-    assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1.5, 2.5, 3.5]]
+    (tmp_path / "a.csv").write_text('1;2;3\n"1,5";"2,5";"3,5"\n')
+    assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1, 2, 3], [1.5, 2.5, 3.5]]
     (tmp_path / "a.csv").write_text('"1.5","2.5","3.5"\n')
     assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1.5, 2.5, 3.5]]
+    (tmp_path / "a.csv").write_text("x, y, z,label\n1, 2, 3,7\n")  # as `torchjoint label` adds a column
+    assert read_cloud_file(tmp_path / "a.csv").points.tolist() == [[1, 2, 3]]
 
 
 @pytest.mark.parametrize("by", [" ", ","])

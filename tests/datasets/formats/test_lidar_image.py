@@ -119,6 +119,7 @@ def test_jpeg_and_lazy_reading(folder):
         ("camera_info.json", '{"K": [0, 0, 0, 0, 0, 0, 0, 0, 0]}', "intrinsics of .*camera_info.json: expected"),
         ("camera_info.json", '{"K": [9, 0, 1, 0, 9, 1, 0, 0, 1], "D": [1]}', r"D: expected 4, 5 or 8 numbers"),
         ("camera_info.json", '{"K": [9, 0, 1, 0, 9, 1, 0, 0, 1], "width": 9}', "at least one pixel, got 9 x 0"),
+        ("camera_info.json", '{"width": 9, "height": 9, "roi": {"height": 4, "width": 4}}', "roi: expected none, got"),
         ("initial_guess.json", '{"x": 1}', r"initial_guess\.json: y: missing"),
         ("initial_guess.json", "[]", r"initial_guess\.json: expected an object"),
         ("extrinsic.txt", "1 2 3", r"extrinsic\.txt: expected 4x4 = 16 numbers, got 3"),

@@ -62,8 +62,7 @@ def read_cloud_file(
     """
     read = _read(path, columns)
     beams: Beams = "keep" if invalid == "keep" or read.faces is not None else "drop many"
-    valid = kept_points(read.points, str(path), invalid, beams)
-    read = repaired(read.chosen(valid), str(path))
+    read = repaired(read.chosen(kept_points(read.points, str(path), invalid, beams)), str(path))
     tell_degrees(read.points, str(path))
     return read if read.opacities is None else read.chosen(_opaque(read.opacities, least_opacity, path))
 

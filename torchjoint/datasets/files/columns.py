@@ -94,8 +94,7 @@ def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
     if xyz is None:
         missing = ", ".join(axis for axis in "xyz" if axis not in found)
         raise ValueError(f"expected x, y and z, got {', '.join(columns) or 'nothing'}: {missing} missing")
-    narrow = all(column.dtype.str[1:] == "f4" for column in xyz)
-    points = _stacked(xyz, np.float32 if narrow else np.float64)
+    points = _stacked(xyz, np.float32 if all(column.dtype.str[1:] == "f4" for column in xyz) else np.float64)
     if any(column.dtype.str[1:] == "f2" for column in xyz):
         tell_half(float(points.abs().max()), torch.float16, name)
     rgb, normals, opacities = group(COLORS), group(NORMALS), None

@@ -15,7 +15,7 @@ import re
 import struct
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -120,12 +120,15 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
     """
     laspy = las_library()
     header, kinds = check_header(path), laspy.DecompressionSelection
+    if not header.num_points:
+        raise ValueError(f"{path}: not a whole LAS file: no points")
     places = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.RGB | kinds.ALL_EXTRA_BYTES
     with ExitStack() as stack:
         with _clear_errors(path):
             selection = places if only_places else kinds.all()
             opened = laspy.open(path, decompression_selection=selection, laz_backend=laz_backend(laspy))
             reader = stack.enter_context(opened)
+            reader.header.point_count = header.num_points  # laspy takes a wide count of 0
             if header.is_compressed:
                 _compare_chunks(reader, header, path)
         yield reader
@@ -179,10 +182,11 @@ def _clear_errors(path: Path) -> Iterator[None]:
 
 
 def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
-    """Compares the header's number of points with the chunks'; in formats 0 to 5 they do not tell that of the last."""
+    """Compares the header's number of points with the chunks'; in formats 0 to 5 the last chunk is read to know it."""
     import lazrs
 
-    kind = lazrs.LazVlr(reader.header.vlrs.get("LasZipVlr")[0].record_data)
+    record = reader.header.vlrs.get("LasZipVlr")[0].record_data
+    kind = lazrs.LazVlr(record)
     with path.open("rb") as stream:
         stream.seek(header.points_at)
         if not (chunks := lazrs.read_chunk_table(stream, kind)):
@@ -192,9 +196,15 @@ def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
         *full, last = chunks
         before = sum(count for count, _ in full)
         low, high = last[0] if kind.uses_variable_size_chunks() else 1, last[0]
-        if low == 1 and reader.header.point_format.id >= 6:  # the number stands behind the first point
-            stream.seek(header.points_at + 8 + sum(size for _, size in full) + header.record_size)
-            low = high = int.from_bytes(stream.read(4), "little")
+        stream.seek(header.points_at + 8 + sum(size for _, size in full))
+        data = stream.read(path.stat().st_size)[: last[1]]
+    if low == 1 and reader.header.point_format.id >= 6:  # the number stands behind the first point
+        low = high = int.from_bytes(data[header.record_size : header.record_size + 4], "little")
+    elif low < (count := header.num_points - before) <= high:
+        with suppress(lazrs.LazrsError):  # without the last bytes of a chunk its last point cannot be read
+            one = np.empty(count * header.record_size, np.uint8)
+            lazrs.decompress_points_with_chunk_table(data[:-4], record, one, [(count, len(data) - 4)])
+            low = count + 1
     if header.num_points > before + high:
         raise ValueError(f"truncated: {header.num_points} points in its header, {before + high} in its chunks")
     if (rest := before + low - header.num_points) > 0:
@@ -223,6 +233,8 @@ def check_header(path: Path) -> LasHeader:
         header = _parse(file.read(f"{min(size, 375)}s")[0])
         end = header.extended_at if header.num_extended else size
         _check_records(file, header)
+        if not header.num_points:
+            return header
         if header.is_compressed:
             bounds.check_points(header.num_points, size)
             bounds.check_unpacked(header.num_points * header.record_size, size)
@@ -251,8 +263,6 @@ def _parse(head: bytes) -> LasHeader:
         raise ValueError(f"the points begin at byte {points_at}, inside a header with {num_records} records")
     if record_size < 20:
         raise ValueError(f"expected points of at least 20 bytes, got {record_size}")
-    if num_points == 0:
-        raise ValueError("no points")
     places = struct.unpack_from("<6d", head, 131)
     if not all(map(math.isfinite, places)) or 0 in places[:3]:
         raise ValueError(f"expected finite scales other than 0 and finite offsets, got {places}")

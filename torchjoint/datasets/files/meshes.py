@@ -283,8 +283,7 @@ def check_obj(data: bytes, name: str) -> None:
     # trimesh counts back from the end of the file.
     if (back := re.search(rb"^f .*-", data, re.MULTILINE)) and data.rfind(b"\nv ") > back.start():
         raise ValueError("expected faces behind all vertices, where they count back (f -3 -2 -1)")
-    steps = data.count(b"usemtl") * data.count(b"\nv")
-    bounds.check(steps, bounds.MATERIAL_STEPS, "vertices times materials", name)
+    bounds.check(data.count(b"usemtl") * data.count(b"\nv"), bounds.MATERIAL_STEPS, "vertices times materials", name)
 
 
 def check_gltf(data: bytes, parts: MeshParts, name: str) -> None:

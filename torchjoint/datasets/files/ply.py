@@ -16,7 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import COLORS, NO_METRE, CloudFile, cloud_of, plain, typed
+from torchjoint.datasets.files.columns import COLORS, NO_METRE, CloudFile, cloud_of, plain, tell_not_read, typed
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
@@ -166,6 +166,7 @@ def _assembled(elements: Mapping[str, Columns], name: str) -> CloudFile:
             "(`splat-transform a.compressed.ply a.ply`, or SuperSplat's export)"
         )
     cloud = cloud_of(vertex, name)
+    tell_not_read(elements["vertex"].keys() - vertex.keys(), name)
     if not len(cloud.points):
         raise ValueError("no points")
     drawn = {*map(plain, elements.get("face", {}))} & _DRAWN | {*map(plain, vertex)} & {"textureu", "u", "s"}

@@ -25,6 +25,8 @@ SUFFIXES = (".xyz", ".txt", ".asc", ".csv", ".pts")
 _UNIT = re.compile(r"\[[^][]*\]|\([^()]*\)")
 _UNITS = rb"([cmk]|milli|centi)m\w*|(us[- ]?)?(survey )?f(ee|oo)?t|in|inch\w*|deg\w*"
 _COLUMN_UNIT = re.compile(rb"\b([xyzenh]|easting|northing|elevation|height) ?[\[(] ?(" + _UNITS + rb") ?[\])]", re.I)
+#: A row such as 1,5 2,5 3 with no comma before a blank, or 1,5, 2,5, 3: those between numbers have a blank behind.
+_DECIMAL_COMMAS = re.compile(rb"(?!.*,\s)\s*(\S+\s+){2}\S|(?=(.*\d,\d){2})\s*(-?\d+(,\d+)?,\s+)+-?\d+(,\d+)?,?\s*$")
 #: An array with more columns than this, and more columns than rows, is transposed: its columns are the points.
 MOST_COLUMNS = 16
 #: The names of columns that are read of rows without names.
@@ -125,9 +127,9 @@ def _numbers(text: bytes, first: int, path: Path) -> Array:
     """The rows of numbers; the first one is line `first` of the file."""
     line = text.partition(b"\n")[0]
     delimiter = next((mark for mark in (";", ",") if mark.encode() in line), None)
-    if delimiter == ";" and b"," in line:
+    if delimiter == ";" and b"," in (line if b"." in text else text):
         text = text.replace(b",", b".")  # decimal commas
-    elif delimiter == "," and len(line.split()) > 2 and not re.search(rb",\s", line):
+    elif delimiter == "," and _DECIMAL_COMMAS.match(line):
         raise ValueError(f"{path}: line {first}: expected decimal points, got commas in {_shown(line)}; replace them")
     if delimiter and line.rstrip().endswith(delimiter.encode()):
         text = re.sub(rb"[;,][ \t]*(?=\n|$)", b"", text)

@@ -96,8 +96,7 @@ def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
     expected = f"an image of the model in {model}"
     files = [present(path_inside(folder, image.name, str(model)), expected) for image in images]
     tell_unlisted(str(model), files)
-    names = frame_names([image.name for image in images])
-    parts = zip(files, images, names, strict=True)
+    parts = zip(files, images, frame_names([image.name for image in images]), strict=True)
     return read_shots([image._replace(color=file, name=name) for file, image, name in parts])
 
 
@@ -149,8 +148,7 @@ def read_images(folder: Path) -> list[Shot]:
             raise ValueError(f"{images_file}: image {row.name!r} is of camera {row.camera}, which {cameras_file} lacks")
     numbers = np.array([row.pose for row in rows])
     poses = poses_from_quaternions(numbers[:, [1, 2, 3, 0]], numbers[:, 4:], str(images_file))
-    images = zip(rows, poses, strict=True)
-    return [Shot(Path(row.name), cameras[row.camera], pose, row.name) for row, pose in images]
+    return [Shot(Path(row.name), cameras[row.camera], pose, row.name) for row, pose in zip(rows, poses, strict=True)]
 
 
 def read_points(folder: Path, invalid: Invalid) -> tuple[Tensor, Tensor]:
@@ -225,8 +223,7 @@ def _cameras_of_binary(path: Path) -> dict[int, Camera]:
             key, number, width, height = file.read("IiQQ")
             name = f"{path}: camera {key}"
             model = MODELS[number] if 0 <= number < len(MODELS) else f"number {number}"
-            parameters = file.read(f"{_check_model(model, name)[1]}d")
-            cameras.append((key, _camera(model, width, height, parameters, name)))
+            cameras.append((key, _camera(model, width, height, file.read(f"{_check_model(model, name)[1]}d"), name)))
         file.finish()
     return dict_of(cameras, f"{path}: camera")
 

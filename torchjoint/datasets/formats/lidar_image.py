@@ -22,7 +22,7 @@ from torchjoint.datasets.cameras import Camera, checked_pose, rotations_about
 from torchjoint.datasets.files.columns import repaired
 from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.readers import read_matrix
-from torchjoint.datasets.files.text import read_record
+from torchjoint.datasets.files.text import Record, read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Scene
@@ -61,6 +61,10 @@ def _read_camera(path: Path) -> Camera:
     if model not in _LENSES:
         raise ValueError(f"{path}: distortion_model: expected one of {', '.join(_LENSES)}, got {model!r}")
     size = round(record.number("height", 0)), round(record.number("width", 0))
+    roi = record.record("roi") if "roi" in record else Record({}, str(path))
+    part = [roi.number(key, 0) for key in ("x_offset", "y_offset", "height", "width")]
+    if any(part) and part != [0, 0, *size]:
+        raise ValueError(f"{path}: roi: expected none, got {roi.values}; give the K, width and height of the part")
     K = record.numbers("K", 9).view(3, 3)
     return Camera(K, size if any(size) else None, lens, str(path), fisheye=model == "equidistant")
 

@@ -113,8 +113,11 @@ def read_camera(frame: Record, color: Path) -> Camera:
     """Returns the camera of a frame, whose size is that of the image `color` if the frame does not give it."""
     if "distortion_params" in frame:
         given = frame.numbers("distortion_params", 6).tolist()
-        named = zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=True)
-        frame = Record({**frame.values, **dict(named)}, frame.name)
+        named = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=True))
+        for key, value in named.items():
+            if frame.number(key, value) not in (value, 0):
+                raise ValueError(f"{frame.name}: {key}: expected {value} as in distortion_params, or 0, got another")
+        frame = Record({**frame.values, **named}, frame.name)
     model = frame.text("camera_model", "OPENCV")
     if model not in _MODELS:
         told = f"{frame.name}: camera_model: expected one of {', '.join(_MODELS)}, got {model!r}"
@@ -123,8 +126,10 @@ def read_camera(frame: Record, color: Path) -> Camera:
     if said not in (True, False):
         raise ValueError(f"{frame.name}: is_fisheye: expected true or false, got {str(said)[:60]!r}")
     fisheye = model == "OPENCV_FISHEYE" or bool(said)
-    if not fisheye and frame.number("k4", 0.0) != 0:
-        raise ValueError(f"{frame.name}: k4: expected 0 for a perspective camera, got {frame.number('k4')}")
+    for key in ("k5", "k6", *(("p1", "p2") if fisheye else ("k4",))):
+        if frame.number(key, 0.0) != 0:
+            kind = "fisheye" if fisheye else "perspective"
+            raise ValueError(f"{frame.name}: {key}: expected 0 for a {kind} camera, got {frame.number(key)}")
     size = _size(frame) if "w" in frame and "h" in frame else read_image_size(color)
     fl_x, fl_y = _focal_lengths(frame, size)
     matrix = pinhole_matrix(fl_x, fl_y, frame.number("cx", size[1] / 2), frame.number("cy", size[0] / 2), center=0.5)

@@ -112,8 +112,7 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
         warnings.warn(f"{bag.path}: {topic}: {told}; --topics depth={topic} takes it as registered", stacklevel=3)
     points = _only("points", bag.topics(POINTS) if depth is None else (), chosen, bag)
     best = () if poses.moves(frame) else next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
-    odometry = _only("odometry", best, chosen, bag)
-    return _Topics(color, info, None if "points" in chosen else depth, points, odometry)
+    return _Topics(color, info, None if "points" in chosen else depth, points, _only("odometry", best, chosen, bag))
 
 
 def _check_poses(bag: Bag, topics: _Topics, poses: messages.Poses, frame: str) -> None:

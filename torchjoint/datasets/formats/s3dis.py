@@ -52,8 +52,7 @@ def scenes(path: Path) -> dict[str, Path]:
 
 
 def _things(path: Path) -> list[Path]:
-    files = (path / "Annotations").glob(_TEXT)
-    return sorted(file for file in files if re.fullmatch(r"[A-Za-z]+_[0-9]+", file.stem))
+    return sorted(file for file in (path / "Annotations").glob(_TEXT) if re.fullmatch(r"[A-Za-z]+_[0-9]+", file.stem))
 
 
 def _read_points(file: Path) -> npt.NDArray[np.float64]:

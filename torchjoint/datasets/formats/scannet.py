@@ -76,8 +76,7 @@ def recognizes(path: Path) -> bool:
     if has_file(path):
         return path.suffix.lower() == ".sens"
     own = any(has_file(path / f"{path.name}{suffix}") for suffix in (".sens", CLOUD))
-    exported = has_folder(path / "intrinsic") or has_file(path / f"{path.name}.txt")
-    return own or (exported and has_frames(path))
+    return own or ((has_folder(path / "intrinsic") or has_file(path / f"{path.name}.txt")) and has_frames(path))
 
 
 def load(path: Path, options: recording.Options) -> Scene:
@@ -199,8 +198,7 @@ class Calibration:
 
         ValueError, which begins with `name`, if they were cropped.
         """
-        known = self.sizes if self.is_certain else (size, *self.sizes)
-        old = min(known, key=self._off_center)
+        old = min(self.sizes if self.is_certain else (size, *self.sizes), key=self._off_center)
         (h, w), (height, width) = old, size
         if abs(height * w - width * h) > max(STRETCH * width * h, w, h):
             got = f"{width} x {height}: is it cropped?"
