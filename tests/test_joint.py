@@ -20,7 +20,7 @@ from torchjoint.results.checkpoint import Checkpoint, run_key
 from torchjoint.results.folder import write_result
 from torchjoint.scene.frame import PoseWarning
 from torchjoint.segments.method import LEARNED
-from torchjoint.segments.scan.method import segment_scan
+from torchjoint.segments.scan.method import segment_levels
 from torchjoint.views.pose_check import NUM_FRAMES, PoseCheck
 
 CONFIG = tj.Config().set(["paper.min_size=20", "image_segments.min_size=20"])
@@ -759,12 +759,12 @@ class TestScan:
         assert len(scanner.state.observations) == 2
         assert scanner.state.facing.shape == (len(synthetic.scene.points),)
         result = scanner.compute()
-        assert torch.equal(result.points, segment_scan(synthetic.scene.points, SCAN.scan))
+        assert torch.equal(result.points, segment_levels(synthetic.scene.points, SCAN.scan).at())
         assert len(result.images) == 2
 
     def test_other_parameters_of_the_scan_can_be_tried_out(self, synthetic, scanner):
         coarse = SCAN.set(["scan.min_size=200"])
-        expected = segment_scan(synthetic.scene.points, coarse.scan)
+        expected = segment_levels(synthetic.scene.points, coarse.scan).at()
         assert torch.equal(scanner.compute(images=False, config=coarse).points, expected)
 
     def test_images_that_have_no_say_are_told(self, synthetic, caplog):

@@ -23,7 +23,7 @@ from copy import copy
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -46,6 +46,7 @@ from torchjoint.views.observations import Observations
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 
 logger = logging.getLogger(__name__)
+T = TypeVar("T")
 
 
 def prepare(
@@ -411,9 +412,7 @@ class JointSegmenter(nn.Module):
         Raises:
             RuntimeError: :meth:`reset` was not called before.
         """
-        if self._graph is None:
-            raise RuntimeError("JointSegmenter: call reset(points) first")
-        return self._graph
+        return _of_reset(self._graph)
 
     @property
     def method(self) -> Method:
@@ -422,9 +421,7 @@ class JointSegmenter(nn.Module):
         Raises:
             RuntimeError: :meth:`reset` was not called before.
         """
-        if self._method is None:
-            raise RuntimeError("JointSegmenter: call reset(points) first")
-        return self._method
+        return _of_reset(self._method)
 
     @property
     def state(self) -> Evidence:
@@ -434,9 +431,7 @@ class JointSegmenter(nn.Module):
             RuntimeError: :meth:`reset` was not called before.
             ValueError: (when set) the state belongs to another cloud.
         """
-        if self._state is None:
-            raise RuntimeError("JointSegmenter: call reset(points) before update, compute or state")
-        return self._state
+        return _of_reset(self._state)
 
     @state.setter
     def state(self, state: Evidence) -> None:
@@ -462,6 +457,12 @@ class JointSegmenter(nn.Module):
     def _new_check(self, name: str = "") -> PoseCheck:
         graph = self.graph
         return PoseCheck(Cloud(graph.points, graph.colors), graph.spacing, self.config.visibility, graph.local, name)
+
+
+def _of_reset(made: T | None) -> T:
+    if made is None:
+        raise RuntimeError("JointSegmenter: call reset(points) before update, compute or state")
+    return made
 
 
 def _warn_of_unused_inputs(frame: Frame, method: Method) -> None:

@@ -34,7 +34,7 @@ from torchjoint.results.boxes import boxes_of
 from torchjoint.results.exports import FORMATS
 from torchjoint.results.render import label_colors, render_cloud
 from torchjoint.scene.frame import PoseWarning
-from torchjoint.segments.scan.method import segment_scan
+from torchjoint.segments.scan.method import segment_levels
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
 from torchjoint.views.visibility import Visible, project, visible_points
 
@@ -193,7 +193,7 @@ def draw_scan() -> Figure:
         points = make_domain_scene("street", seed=seed).scene.points
         scene = tj.Scene(points[points[:, :2].norm(dim=1) < radius])
         for axis, value in zip(axes, values[name], strict=True):
-            labels = segment_scan(scene.points, tj.Config().set([f"scan.{name}={value}"]).scan)
+            labels = segment_levels(scene.points, tj.Config().set([f"scan.{name}={value}"]).scan).at()
             axis.imshow(render_cloud(scene, label_colors(labels), (330, 440)).numpy())
             axis.set(title=f"scan.{name} {value}: {int(labels.max()) + 1} segments", xticks=[], yticks=[])
     return figure

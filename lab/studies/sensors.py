@@ -34,7 +34,7 @@ from torchjoint_lab.synthetic import LIDARS
 
 from torchjoint.datasets import list_scenes, load_scene
 from torchjoint.metrics import ScannetAveragePrecisionMetric
-from torchjoint.segments.scan.method import segment_levels, segment_scan
+from torchjoint.segments.scan.method import segment_levels
 from torchjoint.segments.scan.recognition import look_for_scan
 
 #: Labels [N] of points [N, 3]; -1 = none.
@@ -132,7 +132,7 @@ class Cells:
 
 def of_generated(count: int, python: Path | None, cells: Cells) -> str:
     """The default, and TRAVEL, on the same streets as each kind of sensor sees them."""
-    methods: dict[str, Callable[[], Method]] = {"default": lambda: segment_scan}
+    methods: dict[str, Callable[[], Method]] = {"default": lambda: lambda points: segment_levels(points).at()}
     if python:
         methods["TRAVEL"] = lambda: partial(travel, python)
     rows = []

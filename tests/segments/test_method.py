@@ -13,7 +13,7 @@ from tqdm import tqdm
 import torchjoint as tj
 from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
 from torchjoint.segments.method import choose_method
-from torchjoint.segments.scan.method import segment_scan
+from torchjoint.segments.scan.method import segment_levels
 
 AUTO = tj.Config().set(["point_segments.method=auto", "boundary.detector=gradient"])
 BOX = ((8.0, -1.0, -HEIGHT), (12.0, 1.0, 0.1))
@@ -49,7 +49,7 @@ def test_a_cloud_decides(street, room):
 def test_a_scan_is_segmented_as_a_scan(street):
     segmenter = reset(AUTO, street)
     assert segmenter.state.views.shape == (0,)  # no edges
-    assert torch.equal(segmenter.compute().points, segment_scan(street))
+    assert torch.equal(segmenter.compute().points, segment_levels(street).at())
     assert segmenter.config == AUTO
 
 
@@ -107,7 +107,7 @@ def test_a_bad_model_is_told_before_all_frames(room, tmp_path):
 
 def test_parameters_of_the_scan_can_be_tried_out(street):
     coarse = AUTO.set(["scan.gap=2"])
-    assert torch.equal(reset(AUTO, street).compute(config=coarse).points, segment_scan(street, coarse.scan))
+    assert torch.equal(reset(AUTO, street).compute(config=coarse).points, segment_levels(street, coarse.scan).at())
 
 
 def test_segmenters_of_parts_can_be_merged(room):

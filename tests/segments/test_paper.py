@@ -11,7 +11,7 @@ from torchjoint.cloud.edge_weights import EdgeWeights, discounted_angle, geometr
 from torchjoint.cloud.graph import PointGraph, orient_normals
 from torchjoint.segments import paper
 from torchjoint.segments.scan import method as scan
-from torchjoint.segments.scan.method import segment_scan
+from torchjoint.segments.scan.method import segment_levels
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.propagation import disagreement
 
@@ -56,7 +56,7 @@ class TestMethods:
 
     def test_a_scan_asks_no_image(self, case):
         config, graph, state = case
-        expected = segment_scan(graph.points, config.scan)
+        expected = segment_levels(graph.points, config.scan).at()
         assert torch.equal(scan.segment(graph, state, config).at(), expected)
         assert not torch.equal(segment_points(graph, state, config), expected)
 

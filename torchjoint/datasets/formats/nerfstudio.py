@@ -17,6 +17,7 @@ Files are searched below the folder of transforms.json and in its sibling folder
 """
 
 import math
+import warnings
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -75,6 +76,8 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     depths = [frame.text("depth_file_path") for frame in frames if "depth_file_path" in frame]
     no_twice(depths, f"{file}: frames: depth image")
     tell_unlisted(str(file), [color for color, _ in shots])
+    if any("mask_path" in frame for frame in frames):
+        warnings.warn(f"{file}: mask_path of the frames is not read; masks of things: segment --masks", stacklevel=2)
     names = frame_names([str(color) for color, _ in shots])
     return read_shots([shot._replace(name=name) for (_, shot), name in zip(shots, names, strict=True)])
 

@@ -38,30 +38,10 @@ FAR = 1000.0
 GivenRings = Rings | Literal["search"] | None
 
 
-def segment_scan(points: Tensor, config: ScanConfig | None = None, rings: GivenRings = "search") -> Tensor:
-    """Segments one scan of a LiDAR, without colours or normals.
-
-    They are the default level of :func:`segment_levels`.
-
-    Args:
-        points: [N, 3] metres, z up, the sensor at the origin.
-        config: see :class:`ScanConfig`.
-        rings: of the scan; None: it has none; "search": they are searched for.
-
-    Returns:
-        [N] int64 labels 0, 1, 2, ... in the order of their first points. The labels do not depend on the number of
-        threads.
-
-    Raises:
-        ValueError, TypeError: naming the argument, what was expected and what came.
-    """
-    return segment_levels(points, config, rings).at()
-
-
 def segment_levels(
     points: Tensor, config: ScanConfig | None = None, rings: GivenRings = "search", model: Path | None = None
 ) -> Hierarchy:
-    """The segments of one scan of a LiDAR at all levels.
+    """The segments of one scan of a LiDAR, without colours or normals, at all levels.
 
     Points on the ground (:func:`~torchjoint.segments.scan.ground.grow_ground`) are one segment. All other points
     are connected with their nearest neighbours over at most a share of the gap that is allowed at the range of the
@@ -70,7 +50,14 @@ def segment_levels(
     say whether it is a thing, or its parts are (:func:`~torchjoint.segments.scan.cut.falls_apart`). Distances are those
     after the rings were moved closer together (:func:`with_near_rings`).
 
-    Arguments and errors are those of :func:`segment_scan`; `model`: file of another model than the packaged one.
+    Args:
+        points: [N, 3] metres, z up, the sensor at the origin.
+        config: see :class:`ScanConfig`.
+        rings: of the scan; None: it has none; "search": they are searched for.
+        model: file of another model than the packaged one.
+
+    Raises:
+        ValueError, TypeError: naming the argument, what was expected and what came.
     """
     with torch.no_grad(), one_thread_per_operation():
         tree = scan_tree(points, config or ScanConfig(), rings)
@@ -78,7 +65,7 @@ def segment_levels(
 
 
 def scan_tree(points: Tensor, config: ScanConfig, rings: GivenRings) -> Tree:
-    """The tree of all points that are not on the ground; arguments and errors are those of :func:`segment_scan`."""
+    """The tree of all points that are not on the ground; arguments and errors are those of :func:`segment_levels`."""
     gaps, on_ground, height = scan_gaps(points, config, rings)
     return grow_tree(gaps, ~on_ground, points.float(), height, config.min_size)
 
@@ -86,7 +73,7 @@ def scan_tree(points: Tensor, config: ScanConfig, rings: GivenRings) -> Tree:
 def scan_gaps(points: Tensor, config: ScanConfig, rings: GivenRings) -> tuple[Gaps, Tensor, Tensor]:
     """The points over the profiles of the ground, with their neighbours; [N] bool, all points on the ground; heights.
 
-    Heights [N] float64 are those above the profiles. Arguments and errors are those of :func:`segment_scan`.
+    Heights [N] float64 are those above the profiles. Arguments and errors are those of :func:`segment_levels`.
     """
     points = as_points(points).float()
     seen, height = directions(points), points[:, 2].double()
