@@ -137,9 +137,9 @@ def _find_scenes(path: Path) -> dict[str, Path]:
     else:
         inside = sorted(path.iterdir()) if has_folder(path) else []
         found = {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
-    beside = sorted({two for one in found.values() if one.is_dir() for two in one.parent.iterdir()} - {*found.values()})
-    rest = [one for one in beside if one.name[0] != "." and one.is_dir()]
-    left = [one.name for one in rest if (names := set(os.listdir(one))) and RESULTS.isdisjoint(names)]
+    parents = {one.parent for one in found.values() if one.is_dir()}
+    rest = {one for parent in parents for one in parent.iterdir() if one.name[0] != "."} - {*found.values()}
+    left = sorted(one.name for one in rest if one.is_dir() and not RESULTS.intersection(os.listdir(one) or RESULTS))
     if found and left:
         told = f"{path}: {len(left)} of {len(found) + len(left)} folders are of no known format, and are left out"
         warnings.warn(f"{told}: {', '.join(left[:9])}", stacklevel=4)
