@@ -48,13 +48,17 @@ def test_a_recording_that_changes_while_it_plays(recording, tmp_path, run, monke
     changing, update = shutil.copytree(recording, tmp_path / "recording"), tj.LiveSegmenter.update
     first, *_, last = sorted(changing.glob("*.color.png"))
     monkeypatch.setattr(tj.LiveSegmenter, "update", lambda *given: (shutil.copy(last, first), update(*given)))
-    with pytest.warns(UserWarning, match="recording: changed while it was segmented; the result may be of both states"):
+    with pytest.warns(
+        UserWarning, match="recording: it or its masks changed meanwhile; the result may be of both states"
+    ):
         run("live", changing, "-o", tmp_path / "out", "--voxel-size", "0.12")
     monkeypatch.setattr(tj.LiveSegmenter, "update", update)
     monkeypatch.setattr(
         "torchjoint.cli.live.write_result", lambda *given, **named: (first.touch(), write_result(*given, **named))
     )
-    with pytest.warns(UserWarning, match="recording: changed while it was segmented; the result may be of both states"):
+    with pytest.warns(
+        UserWarning, match="recording: it or its masks changed meanwhile; the result may be of both states"
+    ):
         run("live", changing, "-o", tmp_path / "more", "--voxel-size", "0.12")
 
 

@@ -131,21 +131,26 @@ def test_a_recording_that_changes_meanwhile(scene_of, tmp_path, monkeypatch, lat
     monkeypatch.setattr("torchjoint.recordings.segment.read_folder", lambda _, scene, *__: scene)
     monkeypatch.setattr("torchjoint.recordings.segment.write_result", write)
     told = (
-        contextlib.nullcontext() if late is None else pytest.warns(UserWarning, match=r"a\.ply: changed while it was")
+        contextlib.nullcontext()
+        if late is None
+        else pytest.warns(UserWarning, match=r"a\.ply: it or its masks changed")
     )
     with told:
         segment_recording(recording, tmp_path / "out", QUICK, tj.RecordingOptions(), masks=masks)
     tj.load_result(tmp_path / "out")
 
 
-def test_the_result_beside_a_file_of_masks_is_no_change(tmp_path):
+def test_what_is_beside_a_file_of_masks_is_no_change(tmp_path):
     masks, out = tmp_path / "masks.json", tmp_path / "out"
     (tmp_path / "recording").mkdir()
     masks.write_text("{}")
     before = fingerprints(tmp_path / "recording", masks, out)
     (tmp_path / "out.partial").mkdir()
     (tmp_path / "out.partial" / "state.npz").write_text("of the run")
+    (tmp_path / "notes.txt").write_text("mine")
     assert fingerprints(tmp_path / "recording", masks, out) == before
+    masks.write_text("{} ")
+    assert fingerprints(tmp_path / "recording", masks, out) != before
 
 
 @pytest.mark.parametrize("place", ["a.ply", "masks/b.png"])

@@ -63,7 +63,7 @@ def summarize(result: Segmentation, out: Path) -> None:
     say(f"{sum(parts.values()):.1f} seconds: {_listed(parts)}")
     say(f"segmenting, added up over threads: {_listed(result.seconds)}")
     if (masks := count_masks(out)) is not None:
-        alone = f", {masks[1]} one of their image alone" if masks[1] else ""
+        alone = f", {masks[1]} one of their image alone" if masks[1] else "" if masks[2] else ": their files have none"
         say(f"masks: {masks[0]} of {masks[2]} became a segment{alone} (IoU at least .5); masks.json tells of each")
     files = sorted(one for one in out.iterdir() if one.is_file() or any(one.iterdir()))
     say(f"written to {out}: {', '.join(one.name + '/' * one.is_dir() for one in files)} (docs/quickstart.md)")

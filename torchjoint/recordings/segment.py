@@ -277,7 +277,7 @@ def segment_recording(
 def fingerprints(path: Path, masks: Path | None, out: Path, *, changed: bool = False) -> tuple[str, str]:
     """Of a recording and its masks."""
     of = partial(fingerprint, without=own_files(out), changed=changed)
-    return of(path), "" if masks is None else of(masks)
+    return of(path), "" if masks is None else of(masks, alone=True)
 
 
 def tell_if_changed(path: Path, masks: Path | None, out: Path, before: tuple[str, str]) -> None:
@@ -285,7 +285,7 @@ def tell_if_changed(path: Path, masks: Path | None, out: Path, before: tuple[str
     with suppress(FileNotFoundError):
         if fingerprints(path, masks, out) == before:
             return
-    warnings.warn(f"{path}: changed while it was segmented; the result may be of both states", stacklevel=3)
+    warnings.warn(f"{path}: it or its masks changed meanwhile; the result may be of both states", stacklevel=3)
 
 
 def run(

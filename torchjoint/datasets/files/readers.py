@@ -127,7 +127,7 @@ def read_array(path: Path) -> Tensor:
         return torch.from_numpy(np.array(array, dtype=array.dtype.newbyteorder("="), order="C", subok=False))
 
 
-def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = False) -> str:
+def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = False, alone: bool = False) -> str:
     """Returns a hash of file names, sizes and times, to detect changed files.
 
     That of a folder covers all files in and below it, without folders of results, and what formats read around it;
@@ -138,11 +138,13 @@ def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = Fal
         path: of a recording.
         without: files and folders to ignore, such as the result of a run if it is inside the recording.
         changed: whether also the times (ctime) count that no copy keeps and no program sets: for a run that goes on.
+        alone: whether any file counts only itself.
     """
     if not is_there(path):
         raise FileNotFoundError(f"{path} does not exist")
     path = path.absolute()  # a batch gives the same recording by a relative path and by the whole one
-    if has_file(path) and path.suffix.lower() in ALONE and path.name != "predictions.npz":  # VGGT's has others beside
+    # VGGT's predictions.npz has others beside it
+    if has_file(path) and (alone or (path.suffix.lower() in ALONE and path.name != "predictions.npz")):
         return hashlib.sha256(repr((str(path.resolve()), *_size_and_time(path, changed))).encode()).hexdigest()
     folder = path if has_folder(path) else path.parent
     left_out = {os.path.abspath(one) for one in without}
