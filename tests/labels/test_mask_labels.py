@@ -52,6 +52,14 @@ def test_points_from_behind_do_not_split_a_mask() -> None:
     assert (labels[~mask] == 0).all()
 
 
+def test_a_thing_ends_with_its_mask() -> None:
+    mask = box(2, 1, 7, 5)
+    points = [(r, c, 1) for r in (3, 4, 5) for c in (2, 3, 9, 10)] + [(r, c, 0) for r in (0, 7) for c in range(12)]
+    labels, _ = labelled([mask], points)
+    assert (labels[mask] == 1).all()
+    assert (labels[:, 5:] == 0).all()  # the points of 1 there are strays
+
+
 def test_a_mask_of_two_objects_is_cut() -> None:
     points = [(r, c, int(c > 5)) for r in (3, 4, 5) for c in (2, 4, 7, 9)]
     labels, _ = labelled([box(2, 1, 7, 11)], points)

@@ -61,7 +61,8 @@ def label_masks(
     An atom whose points agree gets their label as a whole. An atom with too few points gets the label of the smallest
     mask around it whose points agree. A mask gets an id of its own, from S on, if it has nearly no points, too few to
     decide, or only points behind it. The other pixels (in atoms whose points disagree, or in no mask) get labels by
-    geodesic label propagation, where outlines of masks count as boundaries.
+    geodesic label propagation, where outlines of masks count as boundaries, from the points there whose label no mask
+    of the image has.
 
     Points of such `unmasked` segments lie behind the objects of masks that have other points.
 
@@ -83,7 +84,8 @@ def label_masks(
     whole = torch.where(of_pixel < len(unmasked), of_pixel, -1)
     colors, _, color_weight, _ = path_costs(seen, config)
     outline = outlines(torch.where(masks.covered(), masks.atom, -1))
-    markers = torch.where(whole >= 0, whole, markers)
+    # Beside the masks of a thing its points are strays: "no mask" beside a mask says that the thing ends there.
+    markers = torch.where(whole >= 0, whole, torch.where(torch.isin(markers, of_atom) & ~masks.covered(), -1, markers))
     labels = ops.propagate_labels(markers, colors, outline, color_weight, OUTLINE_WEIGHT, SPECK)
     return torch.where(of_pixel >= 0, of_pixel, labels), len(unmasked) + num_private
 
