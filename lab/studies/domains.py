@@ -98,8 +98,9 @@ def main() -> None:
             for kind in left_out_kinds:
                 score_left_out(work, kind, str(seed), left_out_model(work, kind, seed, arguments), arguments)
         for kind in left_out_kinds:
-            members = [left_out_model(work, kind, seed, arguments) for seed in range(arguments.seeds)]
-            score_left_out(work, kind, f"mean{len(members)}", BoundaryModel.mean_of(members), arguments)
+            models = [left_out_model(work, kind, seed, arguments) for seed in range(arguments.seeds)]
+            mean = BoundaryModel(tuple(member for model in models for member in model.members))
+            score_left_out(work, kind, f"mean{len(models)}", mean, arguments)
     if arguments.part in ("all", "default"):
         for kind in kinds:
             score_default(work, kind, arguments)

@@ -231,11 +231,12 @@ def image_views(labels: Tensor, num_segments: int) -> list[tuple[int, int, tuple
     """The segments in a label image [H, W] with ids below `num_segments`: (id, number of pixels, box x y w h)."""
     shown = torch.where(labels < num_segments, labels, -1).to(torch.int32).numpy() + 1
     counts = np.bincount(shown.ravel(), minlength=num_segments + 1)
-    return [
-        (number, int(counts[number + 1]), (x.start, y.start, x.stop - x.start, y.stop - y.start))
-        for number, place in enumerate(find_objects(shown))
-        for y, x in ([] if place is None else [place])
-    ]
+    found = []
+    for number, place in enumerate(find_objects(shown)):
+        if place is not None:
+            (top, bottom), (left, right) = ((one.start, one.stop) for one in place)
+            found.append((number, int(counts[number + 1]), (left, top, right - left, bottom - top)))
+    return found
 
 
 def _views(result: Segmentation) -> list[list[SegmentView]]:

@@ -135,7 +135,8 @@ def members_of_groups(size: Tensor, groups: Tensor) -> tuple[Tensor, Tensor]:
     """
     count = size[groups]
     index = torch.repeat_interleave(torch.arange(len(groups)), count)
-    return index, torch.arange(len(index)) + ((size.cumsum(0) - size)[groups] - (count.cumsum(0) - count))[index]
+    shift = (size.cumsum(0) - size)[groups] - (count.cumsum(0) - count)
+    return index, torch.arange(len(index)) + shift[index]
 
 
 def find(ascending: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:

@@ -73,7 +73,8 @@ class Votes(NamedTuple):
 def _best_partners(of_superpoint: Tensor, member: Tensor, size: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     """For each segment that one of the member's segments with the highest IoU, [S] int64, and the IoU, float64."""
     segment, other, common = counted_pairs(of_superpoint, member, size)
-    iou = common / (points[segment] + _sums(member, size, int(member.max()) + 1)[other] - common).clamp(min=1)
+    theirs = _sums(member, size, int(member.max()) + 1)
+    iou = common / (points[segment] + theirs[other] - common).clamp(min=1)
     return best_of_groups(segment, other, iou, len(points))
 
 

@@ -208,4 +208,5 @@ def zbuffer_visible(
     reach = (config.footprint * width * focal / projected.z).round().clamp(max=MAX_FOOTPRINT).to(torch.int64)
     row, column = nearest_pixel(projected.v), nearest_pixel(projected.u)
     nearest = ops.splat_depth(row, column, projected.z, reach, *size)
-    return projected.z <= nearest[row, column] + (config.depth_tolerance * projected.z + SLANT_TOLERANCE * width)
+    tolerance = config.depth_tolerance * projected.z + SLANT_TOLERANCE * width
+    return projected.z <= nearest[row, column] + tolerance

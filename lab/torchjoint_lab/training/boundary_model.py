@@ -23,7 +23,7 @@ from torchjoint.runtime.messages import needed_for
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene
 from torchjoint.segments.learned.boundary_features import FEATURE_NAMES
-from torchjoint.segments.learned.boundary_model import BoostedTrees, BoundaryModel, MemberModel, no_calibration
+from torchjoint.segments.learned.boundary_model import BoostedTrees, BoundaryModel, MemberModel
 from torchjoint_lab.training.boundary_examples import (
     BoundaryModelOptions,
     LabelledEvidence,
@@ -278,6 +278,11 @@ def _constant(log_odds: float) -> BoostedTrees:
     none = torch.empty(0, 1)
     places = none.int()
     return BoostedTrees(places, none.double(), none.bool(), places, places, none.double(), log_odds)
+
+
+def no_calibration() -> Tensor:
+    """The calibration that changes nothing: [2, 2] float64."""
+    return torch.tensor([[0.0, 1.0], [0.0, 1.0]], dtype=torch.float64)
 
 
 def _calibration(probability: NDArray[np.float64], is_border: NDArray[np.bool_], weight: NDArray[np.float64]) -> Tensor:

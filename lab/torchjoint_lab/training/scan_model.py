@@ -21,7 +21,7 @@ from torchjoint_lab.benchmark.disturbances import moved
 from torchjoint_lab.benchmark.real_scenes import LIDAR, SAME_SENSOR, find_real_scenes
 from torchjoint_lab.evaluation.partial_truth import PartialTruth
 from torchjoint_lab.synthetic import LIDARS, make_domain_scene
-from torchjoint_lab.training.boundary_model import trees_of_classifier
+from torchjoint_lab.training.boundary_model import no_calibration, trees_of_classifier
 
 #: The value of a thing's best segment is half its IoU, half a step at .5 that is as steep as this.
 STEEPNESS = 12.0
@@ -148,5 +148,5 @@ def fit_scan_model(examples: Sequence[Example], without: str = "", members: int 
             early_stopping=False, random_state=seed, max_features=0.5,
         )  # fmt: skip
         classifier.fit(features[tells], gain[tells] > 0, sample_weight=weight[tells] / weight[tells].mean())
-        made.append(MemberModel((0.5,), FEATURE_NAMES, (trees_of_classifier(classifier),)))
+        made.append(MemberModel((0.5,), FEATURE_NAMES, (trees_of_classifier(classifier),), (no_calibration(),)))
     return BoundaryModel(tuple(made))

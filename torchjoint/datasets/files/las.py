@@ -197,7 +197,7 @@ def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
         before = sum(count for count, _ in full)
         low, high = last[0] if kind.uses_variable_size_chunks() else 1, last[0]
         stream.seek(header.points_at + 8 + sum(size for _, size in full))
-        data = stream.read(path.stat().st_size)[: last[1]]
+        data = stream.read(min(last[1], path.stat().st_size))
     if low == 1 and reader.header.point_format.id >= 6:  # the number stands behind the first point
         low = high = int.from_bytes(data[header.record_size : header.record_size + 4], "little")
     elif low < (count := header.num_points - before) <= high:

@@ -71,10 +71,13 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
         digits = 7 if np.abs(points[:, :2]).max() <= 360 else 3  # a survey's coordinates may be degrees
         corners = [np.round(ring, digits) for ring in _footprint(points[:, :2])]
         rings, area = [[*ring.tolist(), ring[0].tolist()] for ring in corners], sum(map(_area, corners))
-        kinds = {0: ("Point", rings[0][0]), 1: ("Polygon", rings)}
-        kind, places = kinds.get(len(rings) if area else 0, ("MultiPolygon", [[ring] for ring in rings]))
+        if not area:
+            shape = {"type": "Point", "coordinates": rings[0][0]}
+        elif len(rings) == 1:
+            shape = {"type": "Polygon", "coordinates": rings}
+        else:
+            shape = {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
         properties = dict(zip(COLUMNS, row, strict=True)) | {"area": round(area, 4)}
-        shape = {"type": kind, "coordinates": places}
         features.append({"type": "Feature", "id": row[0], "properties": properties, "geometry": shape})
     system = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}
     collection = {"type": "FeatureCollection", **({} if epsg is None else {"crs": system}), "features": features}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import as_file, files
@@ -63,11 +62,6 @@ class BoostedTrees:
             return self.baseline + boosted_trees(values, *self.arrays())
 
 
-def no_calibration() -> Tensor:
-    """The calibration that changes nothing: [2, 2] float64."""
-    return torch.tensor([[0.0, 1.0], [0.0, 1.0]], dtype=torch.float64)
-
-
 @dataclass(frozen=True, eq=False)
 class MemberModel:
     """The model of one training seed, for K rounds of merging.
@@ -77,17 +71,15 @@ class MemberModel:
         feature_names: the F features of a boundary, in the order of the columns.
         rounds: K ensembles of trees, one for each round.
         calibrations: K maps of the trees' probability, each [2, C] float64: C >= 2 knots x (ascending) and y (not
-            descending), both in [0, 1]. Between the knots the map is linear, beyond them constant. Empty: no map.
+            descending), both in [0, 1]. Between the knots the map is linear, beyond them constant.
     """
 
     thresholds: tuple[float, ...]
     feature_names: tuple[str, ...]
     rounds: tuple[BoostedTrees, ...]
-    calibrations: tuple[Tensor, ...] = ()
+    calibrations: tuple[Tensor, ...]
 
     def __post_init__(self) -> None:
-        if not self.calibrations:
-            object.__setattr__(self, "calibrations", tuple(no_calibration() for _ in self.rounds))
         if not 1 <= len(self.rounds) <= MOST_ROUNDS:
             raise ValueError(f"rounds: expected 1 to {MOST_ROUNDS}, got {len(self.rounds)}")
         for name, of_rounds in (("thresholds", self.thresholds), ("calibrations", self.calibrations)):
@@ -139,11 +131,6 @@ class BoundaryModel:
         for number, member in enumerate(self.members):
             if (member.thresholds, member.feature_names) != (self.thresholds, self.feature_names):
                 raise ValueError(f"members: number {number} has other thresholds or features than number 0")
-
-    @classmethod
-    def mean_of(cls, models: Iterable[BoundaryModel]) -> BoundaryModel:
-        """The mean of all members of the models."""
-        return cls(tuple(member for model in models for member in model.members))
 
     @property
     def thresholds(self) -> tuple[float, ...]:

@@ -234,7 +234,8 @@ def _frames_that_see_most(in_frame: Tensor, num_superpoints: int, num_frames: in
     order = torch.argsort(num_points, descending=True, stable=True)
     order = order[torch.argsort(superpoint[order], stable=True)]
     count = torch.bincount(superpoint, minlength=num_superpoints)
-    chosen = order[torch.arange(len(order)) - (count.cumsum(0) - count)[superpoint[order]] < MAX_FRAMES]
+    rank = torch.arange(len(order)) - (count.cumsum(0) - count)[superpoint[order]]
+    chosen = order[rank < MAX_FRAMES]
     most = torch.zeros(num_frames, num_superpoints, dtype=torch.bool)
     most[frame[chosen], superpoint[chosen]] = True
     return most
