@@ -187,6 +187,9 @@ class TestARun:
         chosen = select_masked(out, loaded)
         assert chosen.confidence is not None
         assert torch.equal(chosen.confidence, loaded.confidence[: chosen.num_point_segments])
+        others = dict.fromkeys(range(loaded.num_point_segments), "some")
+        named = select_masked(out, replace(loaded, segment_names=others)).segment_names
+        assert sorted(named) == chosen.points[chosen.points >= 0].unique().tolist()  # no categories without a mask
 
     def test_names_are_those_of_the_run(self, out, run, tmp_path):
         """Masks of another result would put names on other things; half a character cannot be written."""
