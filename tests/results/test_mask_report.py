@@ -181,15 +181,15 @@ class TestARun:
         assert sorted(written) == kept
         assert any(file.stem.endswith("-it") for file in written.values())
         assert len(read_ply(written[kept[0]]).points) == (stored == kept[0]).sum()
+        run("export", out, "--format", "coco", "-o", tmp_path / "a.json", "--only-masked")
+        made = json.loads((tmp_path / "a.json").read_text())
+        assert {one["id"] for one in made["categories"]} == {one["category_id"] for one in made["annotations"]}
 
     def test_what_is_kept_is_as_sure_as_before(self, out):
         loaded = tj.load_result(out, edits=False)
         chosen = select_masked(out, loaded)
         assert chosen.confidence is not None
         assert torch.equal(chosen.confidence, loaded.confidence[: chosen.num_point_segments])
-        others = dict.fromkeys(range(loaded.num_point_segments), "some")
-        named = select_masked(out, replace(loaded, segment_names=others)).segment_names
-        assert sorted(named) == chosen.points[chosen.points >= 0].unique().tolist()  # no categories without a mask
 
     def test_names_are_those_of_the_run(self, out, run, tmp_path):
         """Masks of another result would put names on other things; half a character cannot be written."""

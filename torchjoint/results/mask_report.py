@@ -145,9 +145,7 @@ def select_masked(folder: Path, result: Result) -> Result:
         return labels if result.names[index] in names else labels.masked_fill(labels >= count, -1)
 
     images = level_images(LazySequence(len(result.images), read), count, table, count)
-    called = {one: name for one, name in result.segment_names.items() if one in kept or one >= count}
-    chosen = replace(result, points=table[result.points], images=images, segment_names=called)
-    chosen = replace(chosen, hierarchy=None, superpoint_images=())
+    chosen = replace(result, points=table[result.points], images=images, hierarchy=None, superpoint_images=())
     known, left = result._confidence, chosen.num_point_segments  # which stays, though there are no levels
     vars(chosen)["_confidence"] = known and known._replace(of_segment=known.of_segment[:left])
     return chosen
