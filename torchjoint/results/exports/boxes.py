@@ -51,7 +51,7 @@ def export_csv(path: Path, result: Result) -> None:
 def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     """Writes the footprint of each segment, the outline of its points seen along z, with the values of COLUMNS.
 
-    Outlines are simple: no two edges meet but in the corner of neighbours. `area` is that of exact corners.
+    Outlines are simple: no two edges meet but in the corner of neighbours. `area` is seen along up, of exact corners.
 
     Args:
         path: of the file; QGIS, GDAL and GeoPandas read it.
@@ -61,7 +61,7 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     """
     up = float(up_direction(result.scene)[2])
     if up < boxes.LEVEL:
-        told = f"footprints are seen along z, but up in this scene is {math.degrees(math.acos(up)):.0f} degrees away"
+        told = f"footprints are seen along z, `area` along up, which is {math.degrees(math.acos(up)):.0f} degrees away"
         warnings.warn(f"{told} from it", stacklevel=3)
     if epsg is None:
         told = "no EPSG code of the cloud is known: programs will take the metres for degrees; set it there"
