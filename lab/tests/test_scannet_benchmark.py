@@ -55,6 +55,12 @@ def write_listing(folder, scan, masks, scores):
     (folder / f"{scan}.txt").write_text("\n".join(lines) + "\n")
 
 
+def test_help_names_the_protocols_alone(run_lab, capsys):
+    with pytest.raises(SystemExit):
+        run_lab("evaluate", "--help")
+    assert "--protocol {scannetv2,scannet200,scannetpp}" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("protocol", [None, "scannetv2", "scannet200"])
 def test_a_data_set(scans, scene_of, run_lab, tmp_path, capsys, protocol):
     labels, predictions = scene_of(2).point_labels, tmp_path / "predictions"

@@ -133,7 +133,7 @@ def test_boxes_have_a_size(tmp_path):
     result = result_of(few[:1], few, flat, few[:0], torch.cat([few, few[:1]]))
     for export in (export_openpcdet, export_labelcloud, export_cuboids, export_cvat):
         file = tmp_path / ("boxes.txt" if export is export_openpcdet else "boxes.json")
-        with pytest.warns(UserWarning, match="2 segments of fewer than 5 points have no box"):
+        with pytest.warns(UserWarning, match="segments of fewer than 5 points have no box: 2"):
             export(file, result)
         boxes = read_boxes(file)
         assert [box.size for box in boxes] == [pytest.approx(size, abs=1e-4) for size in ((1, 0.5, 0.01), (0.01,) * 3)]
@@ -145,6 +145,9 @@ def footprint_of(points, tmp_path):
     result = tj.Result.of(tj.Segmentation(torch.zeros(len(points), dtype=torch.int64), ()), tj.Scene(points))
     export_geojson(tmp_path / "a.geojson", result, 25832)
     (feature,) = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    export_csv(tmp_path / "a.csv", result)
+    (row,) = csv.DictReader((tmp_path / "a.csv").read_text().splitlines())
+    assert float(row["area"]) == feature["properties"]["area"]
     return feature["geometry"], feature["properties"]["area"]
 
 
@@ -210,7 +213,7 @@ def test_footprints_are_simple_and_have_the_told_area(tmp_path):
 def test_footprints_of_a_tilted_scene_are_told(tmp_path):
     result = tj.Result.of(tj.Segmentation(torch.zeros(9, dtype=torch.int64), ()), tj.Scene(torch.rand(9, 3), up=UP_X))
     with (
-        pytest.warns(UserWarning, match="footprints are seen along z, but up in this scene is 90 degrees away from it"),
+        pytest.warns(UserWarning, match="footprints are seen along z, `area` along up, .* 90 degrees away"),
         pytest.warns(UserWarning, match=r"a\.geojson: no EPSG code .*: programs will take the metres for degrees"),
     ):
         export_geojson(tmp_path / "a.geojson", result)
@@ -485,7 +488,7 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up)
     else:
         assert torch.equal(load_cloud(tmp_path / "boxes.ply").points[:, 2], -scene.points[:, 1])
     run("edits", "import", out, tmp_path / "boxes.json")
-    assert "0 things joined others, 0 names changed" in capsys.readouterr().out
+    assert "things joined to others: 0, names changed: 0" in capsys.readouterr().out
     assert not (out / "edits.json").exists()
     record = json.loads((tmp_path / "boxes.json").read_text())
     before = tj.load_result(out)
@@ -497,7 +500,7 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up)
     del record["objects"][gone]
     (tmp_path / "edited.json").write_text(json.dumps(record))
     run("edits", "import", out, tmp_path / "edited.json")
-    assert "1 things joined others, 1 names changed" in capsys.readouterr().out
+    assert "things joined to others: 1, names changed: 1" in capsys.readouterr().out
     after = tj.load_result(out)
     assert len(after.points.unique()) == before.num_point_segments - 1
     assert "floor" in after.segment_names.values()
@@ -512,7 +515,7 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up)
     record["objects"][1] = other
     (tmp_path / "two.json").write_text(json.dumps(record))
     run("edits", "import", out, tmp_path / "two.json")
-    assert f"{len(after.points.unique()) - 1} things whose box was deleted lie in no" in capsys.readouterr().out
+    assert f"lie in no other box, and stay: {len(after.points.unique()) - 1}" in capsys.readouterr().out
     with pytest.raises(SystemExit, match="no-such"):
         run("edits", "import", out, tmp_path / "no-such.json")
 
@@ -554,7 +557,7 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     run("export", out, "--format", "csv", "-o", table)
     before = table.read_bytes()
     run("edits", "import", out, table)
-    assert "0 names changed" in capsys.readouterr().out
+    assert "names changed: 0" in capsys.readouterr().out
     rows = list(csv.DictReader(before.decode().splitlines()))
     rows[0]["name"], rows[2]["name"] = "house;-1, old", "-5 garage"
 

@@ -461,6 +461,8 @@ class TestSurvey:
     def test_a_wrong_name_leads_to_the_cloud(self, survey, run, tmp_path):
         with pytest.raises(SystemExit, match=r"sit\.laz does not exist; the cloud of this result is .*points\.ply"):
             run("label", survey[1], "sit.laz", "-o", tmp_path / "out.laz")
+        with pytest.raises(SystemExit, match=r"no-result/points\.npz: missing"):
+            run("label", tmp_path / "no-result", "sit.laz")
 
     def test_export(self, survey, run, tmp_path):
         run("export", survey[1], "--format", "las", "-o", tmp_path / "out.laz")

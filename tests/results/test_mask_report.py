@@ -181,6 +181,9 @@ class TestARun:
         assert sorted(written) == kept
         assert any(file.stem.endswith("-it") for file in written.values())
         assert len(read_ply(written[kept[0]]).points) == (stored == kept[0]).sum()
+        run("export", out, "--format", "coco", "-o", tmp_path / "a.json", "--only-masked")
+        made = json.loads((tmp_path / "a.json").read_text())
+        assert {one["id"] for one in made["categories"]} == {one["category_id"] for one in made["annotations"]}
 
     def test_what_is_kept_is_as_sure_as_before(self, out):
         loaded = tj.load_result(out, edits=False)

@@ -106,7 +106,7 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     assert label["point_annotations"] == (before.points + 1).tolist()
     assert label["annotations"][1] == {"id": 2, "category_id": 1, "attributes": {"name": ""}}
     run("edits", "import", out, file)
-    assert "0 things gathered, 0 names changed" in capsys.readouterr().out
+    assert "things gathered: 0, names changed: 0" in capsys.readouterr().out
     assert not (out / "edits.json").exists()
     superpoints = before.hierarchy.superpoint
     moved = (
@@ -117,19 +117,19 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     label["annotations"][0]["attributes"]["name"] = "a thing of two"
     file.write_text(json.dumps({"attributes": label}))
     run("edits", "import", out, file)
-    assert "1 things gathered, 1 names changed" in capsys.readouterr().out
+    assert "things gathered: 1, names changed: 1" in capsys.readouterr().out
     after = tj.load_result(out)
     same = torch.stack([after.points, ids]).unique(dim=1)
     assert same.shape[1] == after.points.unique().numel() == ids.unique().numel()
     assert after.segment_names == {int(after.points[ids == 1][0]): "a thing of two"}
     export_point_labels(file, after)
     run("edits", "import", out, file)
-    assert capsys.readouterr().out == "labels of points: 0 things gathered, 0 names changed\n"
+    assert capsys.readouterr().out == "things gathered: 0, names changed: 0\n"
     label = json.loads(file.read_text())
     label["point_annotations"] = [0 if one == 1 else one for one in label["point_annotations"]]
     file.write_text(json.dumps(label))
     run("edits", "import", out, file)
-    assert "1 things have no labelled point: they stay" in capsys.readouterr().out
+    assert "things without a labelled point stay (join them in the viewer): 1\n" in capsys.readouterr().out
     corrections = (out / "edits.json").read_bytes()
     label["point_annotations"] = torch.randint(1, 9, (len(ids),), generator=torch.Generator().manual_seed(0)).tolist()
     label["annotations"] = []

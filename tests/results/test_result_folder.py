@@ -10,6 +10,7 @@ import torch
 from PIL import Image
 
 import torchjoint as tj
+from torchjoint.results import folder
 from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports import SUFFIXES
 from torchjoint.results.exports.clouds import export_las
@@ -18,6 +19,7 @@ from torchjoint.results.folder import write_result
 from torchjoint.results.objects import oriented_box
 from torchjoint.results.render import label_colors
 from torchjoint.results.upright import fitted, up_direction
+from torchjoint.runtime.archives import read_archive
 
 GRADIENT = tj.Config().set(["point_segments.method=learned", "boundary.detector=gradient"])
 
@@ -64,6 +66,13 @@ def test_a_result_is_read_back(out, scene, result):
     coarse = read.at(0.2)
     assert isinstance(coarse, tj.Result)
     assert coarse.num_point_segments < read.num_point_segments
+
+
+def test_points_are_read_once(out, monkeypatch):
+    read = []
+    monkeypatch.setattr(folder, "read_archive", lambda file: read.append(file.name) or read_archive(file))
+    tj.load_result(out)
+    assert read == ["points.npz"]
 
 
 @pytest.mark.parametrize("segment", [0.5, "0", None])

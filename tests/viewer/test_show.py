@@ -59,6 +59,7 @@ def test_superpoints_can_be_shown(run, scene_of, tmp_path, suffix):
 
 def test_a_labelled_survey_can_be_shown(run, tmp_path):
     survey = laspy.LasData(laspy.LasHeader(point_format=2, version="1.2"))
+    survey.add_extra_dim(laspy.ExtraBytesParams("Amplitude", np.float32))  # of which `show` needs not tell
     survey.x, survey.y, survey.z = np.random.default_rng(0).uniform(0, 1, (3, 500))
     survey.write(tmp_path / "a.las")
     with pytest.raises(ValueError, match=r"a\.las: expected .* got no labels"):

@@ -42,28 +42,28 @@ def edits(
     labels, corrected = shared_edits.read_point_labels(file, len(stored.points)), edited(stored, before)
     if (names := shared_edits.read_names(file, corrected)) is not None:
         steps = shared_edits.edits_of_names(corrected, names, parts.of_point)
-        say(f"{len(steps)} names changed")
+        say(f"names changed: {len(steps)}")
     elif labels is not None:
         steps, others = shared_edits.edits_of_points(parts, before, labels)
         if stored.hierarchy is not None and 2 * others > len(stored.points):
             raise ValueError(f"{told} {others} points have another label than most of their superpoint")
         kinds = [step.kind for step in steps]
-        say(f"labels of points: {kinds.count('gather')} things gathered, {kinds.count('name')} names changed")
+        say(f"things gathered: {kinds.count('gather')}, names changed: {kinds.count('name')}")
         table = parts.table(before)[parts.of_point]
         if stayed := len(np.setdiff1d(table, table[labels.of_point > 0])):
-            say(f"{stayed} things have no labelled point: they stay; join them in the viewer")
+            say(f"things without a labelled point stay (join them in the viewer): {stayed}")
         if others:
-            say(f"{others} points stay with their superpoint, of which most points have another label")
+            say(f"points that stay with their superpoint, most of which has another label: {others}")
     else:
         boxes, is_text = read_boxes(file), file.suffix.lower() == ".txt"
         steps, joined, named, empty, stayed = shared_edits.edits_of_boxes(corrected, boxes, parts.of_point, is_text)
         if len(empty) > max(1, len(boxes) / 2):
             raise ValueError(f"{told} {len(empty)} of {len(boxes)} boxes are those of no thing")
-        say(f"{len(boxes)} boxes: {joined} things joined others, {named} names changed")
+        say(f"boxes: {len(boxes)}, things joined to others: {joined}, names changed: {named}")
         if stayed:
-            say(f"{stayed} things whose box was deleted lie in no other box, and stay")
+            say(f"things whose box was deleted lie in no other box, and stay: {stayed}")
         if empty:
-            say(f"{len(empty)} boxes are those of no thing, such as box {empty[0]}; split in the viewer")
+            say(f"boxes of no thing (split in the viewer): {len(empty)}, such as box {empty[0]}")
     if steps:
         steps = tuple(replace(step, granularity=before.granularity) for step in steps)
         shared_edits.save_edits(result, replace(before, steps=before.steps + steps), before, parts)

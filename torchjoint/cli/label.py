@@ -41,10 +41,10 @@ def label(
         name: of the property of the labels in a .ply, of the dimension in a .las, or of the column in text.
         overwrite: replace OUT; a folder must hold nothing but the .ply files of an earlier run.
     """
+    loaded = at_level(result, load_result(result), granularity)
     if not is_there(file):
         cloud = min(result.glob("cloud-*mm.ply"), default=result / "points.ply")
         raise FileNotFoundError(f"{file} does not exist; the cloud of this result is {cloud}")
-    loaded = at_level(result, load_result(result), granularity)
     kinds = ".ply", ".glb", *las.SUFFIXES, *text_clouds.SUFFIXES
     out = out or Path(f"{file.stem}-labelled{file.suffix if file.suffix.lower() in kinds else '.ply'}")
     is_file = out.suffix.lower() in kinds

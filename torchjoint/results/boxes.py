@@ -64,7 +64,7 @@ def boxes_of(result: Result) -> dict[int, Box]:
     """The upright box with the smallest base of each segment of FEWEST or more of the :func:`upright_points`, by id."""
     points, parts, boxes = upright_points(result.scene), members(result), {}
     if few := sum(0 < len(part) < FEWEST for part in parts):
-        warnings.warn(f"{few} segments of fewer than {FEWEST} points have no box", stacklevel=5)
+        warnings.warn(f"segments of fewer than {FEWEST} points have no box: {few}", stacklevel=5)
     for segment in [number for number, part in enumerate(parts) if len(part) >= FEWEST]:
         found = oriented_box(points[parts[segment]], np.array([0.0, 0.0, 1.0]))
         yaw = math.atan2(found.axes[0, 1], found.axes[0, 0])

@@ -166,13 +166,13 @@ def read_points(folder: Path) -> PointResult:
         return PointResult(cloud.points, labels, cloud.colors)
 
 
-def read_result(folder: Path, check: manifest.Check = manifest.unchecked) -> Segmentation:
+def read_result(folder: Path, labels: Tensor | None = None, check: manifest.Check = manifest.unchecked) -> Segmentation:
     """Reads a result, with all its levels if it has a hierarchy.
 
     Images are read, and checked, when they are used. Images and names are in the order of the names; initial images are
-    not kept.
+    not kept. `labels`: of the points, if they were read before.
     """
-    labels = read_points(folder).labels
+    labels = read_points(folder).labels if labels is None else labels
     files = sorted((folder / "images").glob("*.png"))
     images = LazySequence(len(files), lambda index: read_label_image(check(files[index])) - 1)
     true = {file: name for name, file in read_names(folder).items()}
@@ -307,7 +307,7 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     of = manifest.manifest_checksum(folder)
     stored, config = read_points(folder), read_origin(folder).config
     check = manifest.open_manifest(folder) if verify else manifest.unchecked
-    segmentation = read_result(folder, check)
+    segmentation = read_result(folder, stored.labels, check)
     if verify:
         _check_counts(folder, segmentation)
     frames = read_inputs(folder, segmentation.names, check) if has_file(folder / CAMERAS) else ()

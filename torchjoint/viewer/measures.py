@@ -93,22 +93,20 @@ class Measures:
 
     def rows(self, names: Mapping[int, str], search: str, order: str, most: int) -> tuple[list[Row], int]:
         """See :meth:`~torchjoint.viewer.model.Model.rows`; `names`: by segment."""
-        keys = self.ids
+        keys, counts = self.ids, dict(zip(self._firsts.tolist(), self._counts.tolist(), strict=True))
         found = [
-            (first, count)
-            for first, count in zip(self._firsts.tolist(), self._counts.tolist(), strict=True)
+            first
+            for first in counts
             if not search or search.lower() in names.get(first, "").lower() or search == str(keys[first])
         ]
-        if order in ("size", "frames", "sure"):
-            rows = [self.row(first, names.get(first, "")) for first, _ in found]
-            rows.sort(key=lambda row: (-float(np.prod(getattr(row, order) or 0)), row.key))
-            return rows[:most], len(rows)
-        sort = {
-            "id": lambda one: (0, keys[one[0]]),
-            "name": lambda one: (names.get(one[0], "\uffff").lower(), keys[one[0]]),
-        }.get(order, lambda one: (-one[1], keys[one[0]]))
-        found.sort(key=sort)
-        return [self.row(first, names.get(first, "")) for first, _ in found[:most]], len(found)
+        places: dict[str, Callable[[int], object]] = {
+            "id": lambda one: 0,
+            "name": lambda one: names.get(one, "\uffff").lower(),
+            "points": lambda one: -counts[one],
+        }
+        place = places.get(order, lambda one: -float(np.prod(getattr(self.row(one, ""), order) or 0)))
+        found.sort(key=lambda one: (place(one), keys[one]))
+        return [self.row(one, names.get(one, "")) for one in found[:most]], len(found)
 
     @cached_property
     def confidence(self) -> Confidence | None:

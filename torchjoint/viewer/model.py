@@ -295,6 +295,7 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     name = portable_name(name + (f"-and-{len(called) - 5}-more" if len(called) > 5 else ""))
     result = model.result
     keys = np.where(np.isin(model.table, model.selected), model.measures.ids, -1)  # of superpoints; -1: others
+    keys = np.append(keys, -1)  # of pixels without a superpoint
     labels = torch.from_numpy(keys[model.parts.of_point])
     if kind == "PLY":
         chosen = result.scene.select_points(labels >= 0)
@@ -303,7 +304,7 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
         )
     if kind not in ("PNG", "COCO"):
         raise ValueError(f"export: expected PLY, PNG or COCO, got {kind!r}")
-    images = LazySequence(len(result.images), lambda index: _labels(model, keys, index))
+    images = LazySequence(len(result.images), lambda index: torch.from_numpy(keys[model.parts.image(index)]))
     if kind == "PNG":
         return f"{name}-masks.zip", _masks(images, result.names)
     picked = replace(result, points=labels, images=images, hierarchy=None, superpoint_images=(), segment_names=called)
@@ -316,11 +317,6 @@ def _written(name: str, write: Callable[[Path], object]) -> tuple[str, bytes]:
     with TemporaryDirectory() as folder:
         write(Path(folder) / name)
         return name, (Path(folder) / name).read_bytes()
-
-
-def _labels(model: Model, keys: np.ndarray[tuple[int], np.dtype[np.int64]], index: int) -> Tensor:
-    superpoints = model.parts.image(index)
-    return torch.from_numpy(np.where(superpoints < 0, -1, keys[superpoints]))
 
 
 def _masks(images: Sequence[Tensor], names: Sequence[str]) -> bytes:

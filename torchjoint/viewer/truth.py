@@ -1,5 +1,6 @@
 """The viewer's layers that are not of a result: a scene's truth, and superpoints of a file."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,8 @@ def with_truth(result: Result, scene: Scene) -> Result:
 
 def read_labelled_cloud(path: Path) -> Result:
     """Reads a .ply, .las or .laz with `label` or `superpoint`, or a .npz with points and labels."""
-    cloud, labels = read_cloud_file(path, None, "keep"), _labels(path)
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # they were told when it was segmented
+        cloud, labels = read_cloud_file(path, None, "keep"), _labels(path)
     if labels is None or len(labels) != len(cloud.points):
         wanted = "a .ply, .las or .laz with `label` or `superpoint`, or a .npz with `labels`"
         raise ValueError(f"{path}: expected {wanted}, got no labels")

@@ -33,7 +33,7 @@ def evaluate(
     pred: tyro.conf.Positional[Path],
     scene: tyro.conf.Positional[Path],
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
-    protocol: Name | None = None,
+    protocol: Annotated[Name | None, tyro.conf.arg(constructor=Name, help_behavior_hint="")] = None,
     label_table: Path | None = None,
     voxel_size: float = 0.02,
     overwrite: bool = False,

@@ -51,7 +51,7 @@ def export_csv(path: Path, result: Result) -> None:
 def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     """Writes the footprint of each segment, the outline of its points seen along z, with the values of COLUMNS.
 
-    `area` is that of the written outline. Outlines are simple: no two edges meet but in the corner of neighbours.
+    Outlines are simple: no two edges meet but in the corner of neighbours. `area` is seen along up, of exact corners.
 
     Args:
         path: of the file; QGIS, GDAL and GeoPandas read it.
@@ -61,7 +61,7 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     """
     up = float(up_direction(result.scene)[2])
     if up < boxes.LEVEL:
-        told = f"footprints are seen along z, but up in this scene is {math.degrees(math.acos(up)):.0f} degrees away"
+        told = f"footprints are seen along z, `area` along up, which is {math.degrees(math.acos(up)):.0f} degrees away"
         warnings.warn(f"{told} from it", stacklevel=3)
     if epsg is None:
         told = "no EPSG code of the cloud is known: programs will take the metres for degrees; set it there"
@@ -70,14 +70,14 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     for row, points in _rows(result):
         digits = 7 if np.abs(points[:, :2]).max() <= 360 else 3  # a survey's coordinates may be degrees
         corners = [np.round(ring, digits) for ring in _footprint(points[:, :2])]
-        rings, area = [[*ring.tolist(), ring[0].tolist()] for ring in corners], sum(map(_area, corners))
-        if not area:
+        rings = [[*ring.tolist(), ring[0].tolist()] for ring in corners]
+        if not any(map(_area, corners)):
             shape = {"type": "Point", "coordinates": rings[0][0]}
         elif len(rings) == 1:
             shape = {"type": "Polygon", "coordinates": rings}
         else:
             shape = {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
-        properties = dict(zip(COLUMNS, row, strict=True)) | {"area": round(area, 4)}
+        properties = dict(zip(COLUMNS, row, strict=True))
         features.append({"type": "Feature", "id": row[0], "properties": properties, "geometry": shape})
     system = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}
     collection = {"type": "FeatureCollection", **({} if epsg is None else {"crs": system}), "features": features}

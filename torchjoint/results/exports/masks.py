@@ -78,9 +78,10 @@ def export_coco(path: Path, result: Result) -> None:
     if not len(result.images):
         raise ValueError("--format coco: expected a result with images, got none")
     count, files, names = result.num_point_segments, frame_files(result.names), result.segment_names
-    categories = [UNNAMED, *sorted({name for name in names.values() if name} - {UNNAMED})]
     scores = [] if result.confidence is None else result.confidence.tolist()
     of_images = parallel_map(lambda index: list(masks_of(result.images[index])), range(len(result.images)))
+    used = {names.get(mask.segment) or UNNAMED for masks in of_images for mask in masks}
+    categories = sorted(used, key=lambda name: (name != UNNAMED, name))
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for index, masks in enumerate(of_images):
