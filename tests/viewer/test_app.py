@@ -24,7 +24,7 @@ viser = pytest.importorskip("viser", reason="the viewer needs viser: pip install
 from msgspec import msgpack  # noqa: E402 (packages that viser needs)
 from websockets.sync.client import connect  # noqa: E402
 
-from torchjoint.viewer import app  # noqa: E402
+from torchjoint.viewer import app, live  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 
@@ -52,6 +52,18 @@ def test_of_two_pages_the_later_save_keeps_the_earlier_one_s(out, tmp_path):
     assert one.model.edits == saved
     for viewer in (one, other):
         viewer.stop()
+
+
+def test_a_page_is_there_before_the_labels(scene_of, monkeypatch):
+    scene, found, segmenter = scene_of(3, num_points=6000).scene, [], tj.JointSegmenter()
+    labels_so_far = live.labels_so_far
+    monkeypatch.setattr(live, "labels_so_far", lambda *of_run: (found.append("labels"), labels_so_far(*of_run))[1])
+    view = live.LiveView(lambda url: found.append("page"), port=8990)
+    for _ in segmenter.steps(scene, batch_size=6):
+        view(segmenter, scene)
+        assert view.viewer.result.num_point_segments > 1
+    assert found[:2] == ["page", "labels"]
+    view.viewer.stop()
 
 
 def test_corrections_are_saved_as_they_are_made(out, tmp_path, monkeypatch):

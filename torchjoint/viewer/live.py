@@ -122,12 +122,12 @@ class LiveView(_LaterPage):
 
     def _show(self, segmenter: JointSegmenter, scene: Scene) -> None:
         self._names = self._names or tuple(frame_names(scene.frames))  # only once, because it may read frames
-        result = Result.of(labels_so_far(segmenter, scene, self._names), scene, segmenter.config)
+        if self.viewer is None:  # first the cloud in one colour, because labels take seconds
+            none = LazySequence(len(scene.frames), lambda index: torch.full(scene.frames[index].size, -1))
+            plain = Segmentation(torch.zeros(len(scene.points), dtype=torch.int64), none, names=self._names)
+            self.viewer = self._open(Result.of(plain, scene, segmenter.config), Shown(is_running=True))
+        self.viewer.replace(Result.of(labels_so_far(segmenter, scene, self._names), scene, segmenter.config))
         self._labelled = len(segmenter.state.observations)
-        if self.viewer is None:
-            self.viewer = self._open(result, Shown(is_running=True))
-        else:
-            self.viewer.replace(result)
 
 
 def labels_so_far(segmenter: JointSegmenter, scene: Scene, names: tuple[str, ...] = ()) -> Segmentation:
