@@ -443,6 +443,14 @@ class TestSurvey:
         with pytest.raises(ValueError, match="waveforms") if suffix == ".laz" else nullcontext():
             write_labelled(tmp_path / "c.las", tmp_path / f"d{suffix}", {"label": np.arange(50)})
 
+    def test_a_confidence_of_the_survey_stays(self, survey, tmp_path):
+        own = np.arange(len(laspy.read(survey[0])), dtype=np.float32)
+        write_labelled(survey[0], tmp_path / "own.laz", {"confidence": own})
+        label_file(tmp_path / "own.laz", tmp_path / "out.laz", loaded := tj.load_result(survey[1]))
+        made = laspy.read(tmp_path / "out.laz")
+        assert np.array_equal(made["confidence"], own)
+        assert np.allclose(made["label_confidence"], loaded.point_confidence.numpy())
+
     def test_early_versions_and_undocumented_bytes(self, tmp_path):
         """laspy writes no LAS 1.0, and cannot read again what it writes for 8 bytes and more."""
         cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.2"))

@@ -17,6 +17,7 @@ from folder_files import write_folder, write_truth
 
 import torchjoint as tj
 from torchjoint.cli.show import _open_page
+from torchjoint.datasets.files.text_clouds import with_column
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.labelled_file import write_labelled
 from torchjoint.viewer.shared_page import write_page
@@ -71,6 +72,26 @@ def test_a_labelled_survey_can_be_shown(run, tmp_path):
     run("superpoints", tmp_path / "c.las", "-o", tmp_path / "d.las", "--no-picture")
     assert read_labelled_cloud(tmp_path / "d.las").points.tolist() == found.tolist()
     run("show", tmp_path / "b.laz", "--static", tmp_path / "page.html")
+
+
+def test_labels_of_another_name_can_be_shown(run, tmp_path):
+    """What `label --name` writes, and text, were files without labels."""
+    labels, name = np.arange(50, dtype=np.int32) // 9, "mine"
+    survey = laspy.LasData(laspy.LasHeader(point_format=2, version="1.2"))
+    survey.x, survey.y, survey.z = np.random.default_rng(0).uniform(0, 1, (3, 50))
+    survey.write(tmp_path / "a.las")
+    write_labelled(tmp_path / "a.las", tmp_path / "b.laz", {name: labels, f"{name}_confidence": np.float32(labels)})
+    assert read_labelled_cloud(tmp_path / "b.laz").points.tolist() == labels.tolist()
+    rows = [f"{x:.3f};{y:.3f};{z:.3f};0.5" for x, y, z in survey.xyz.tolist()]
+    (tmp_path / "a.csv").write_text("x;y;z;intensity\n" + "\n".join(rows))
+    with pytest.raises(ValueError, match=r"a\.csv: expected .* text with .*, got no labels"):
+        read_labelled_cloud(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_bytes(with_column(tmp_path / "a.csv", "label", labels.tolist()))
+    assert read_labelled_cloud(tmp_path / "b.csv").points.tolist() == labels.tolist()
+    run("show", tmp_path / "b.csv", "--static", tmp_path / "page.html")
+    (tmp_path / "b.csv").write_text((tmp_path / "b.csv").read_text().replace(";5\n", ";4.5\n"))
+    with pytest.raises(TypeError, match=r"b\.csv: labels: expected an integer dtype, got torch\.float64"):
+        read_labelled_cloud(tmp_path / "b.csv")
 
 
 def test_the_ids_of_a_file_are_shown(tmp_path):

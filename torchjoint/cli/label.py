@@ -32,7 +32,7 @@ def label(
             mostly the file that was segmented. .las and .laz need `pip install 'torchjoint[las]'`, meshes
             `'torchjoint[mesh]'`.
         out: .ply: FILE with labels of its vertices and triangles; all else in a .ply stays, to the byte. .las, .laz:
-            FILE with the dimensions `label` and `confidence`, or NAME and NAME_confidence; all else stays. .csv, .txt,
+            FILE with the dimensions NAME and NAME_confidence (`confidence`, if it is free); all else stays. .csv, .txt,
             .xyz, .asc, .pts: the rows of FILE with one more column. .glb: the mesh in the colours of the segments, one
             node for each. A folder: a .ply for each segment, with all properties of FILE's vertices. Default:
             FILE-labelled with the suffix of FILE, or .ply.

@@ -53,7 +53,8 @@ def show(
     Needs `pip install 'torchjoint[viewer]'`. Ctrl-C ends it.
 
     Args:
-        out: folder that `torchjoint segment` wrote; or a .ply, .las, .laz or .npz with labels that torchjoint wrote.
+        out: folder that `torchjoint segment` wrote; or a file with labels that torchjoint wrote: .ply, .las, .laz,
+            .npz, text with names of columns.
         static: write this HTML file, which can be shared, instead of opening the page.
         granularity: start with another level than RESULT has, 0 (coarse) to 1 (fine); not with method paper.
         up: upward direction x y z in the coordinates of the cloud; default: from the poses and the largest level plane.

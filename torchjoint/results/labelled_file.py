@@ -38,8 +38,8 @@ KEPT = ".*(: no position, normal or colour by these names|the rest is left out|c
 _STORAGE = ("LasZipVlr", "CopcInfoVlr", "CopcHierarchyVlr")
 
 
-#: The longest name of a dimension, bytes.
-LONGEST = 32
+#: The longest name of a dimension, bytes, and what is said of those that are added.
+LONGEST, ORIGIN = 32, "of torchjoint"
 
 
 def check_dimension(path: Path, name: str, way_out: str = "remove it first") -> None:
@@ -115,7 +115,7 @@ def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> 
     if header.version.minor == 0:  # laspy writes from 1.1 on
         header.version = laspy.header.Version(1, 2)
     for name, values in columns.items():
-        header.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype, "of torchjoint"))
+        header.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype, ORIGIN))
     return header
 
 
@@ -179,7 +179,9 @@ def _label_text(source: Path, out: Path, result: Result, name: str) -> None:
 def _label_survey(source: Path, out: Path, result: Result, name: str) -> None:
     las.check_no_copc(out)
     sure = result.point_confidence
-    sureness = "confidence" if name == "label" else f"{name}_confidence"  # a file may be labelled more than once
+    with open_las(source) as reader:
+        is_taken = "confidence" in reader.header.point_format.dimension_names
+    sureness = f"{name}_confidence" if is_taken or name != "label" else "confidence"
     for one in [name] if sure is None else [name, sureness]:
         check_dimension(source, one, "remove it first, or choose a name: `torchjoint label ... --name NAME`")
     points = _read(source).points
@@ -201,8 +203,8 @@ def label_file(source: Path, out: Path, result: Result, *, name: str = "label") 
     * OUT.glb is the mesh in the colours of the segments, with a node for each, which has the segment's name.
     * Text is the same text, with one more column `name`.
     * A .las or .laz as OUT.las or OUT.laz is the same file, with the dimension `name` (int32), and
-      `NAME_confidence` (float32; of `label` just `confidence`), if the result has one. Coordinate system, records
-      and all other dimensions stay.
+      `NAME_confidence` (float32; of `label` just `confidence`, if that is free), if the result has one. Coordinate
+      system, records and all other dimensions stay.
 
     Args:
         source: a .ply, .obj, .glb, .gltf, .off, .stl, .las, .laz or text file in the frame of the result's cloud.

@@ -10,9 +10,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.datasets.files import text_clouds
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.las import las_chunks, open_las
 from torchjoint.datasets.files.ply import read_vertex_property
+from torchjoint.results.labelled_file import KEPT, ORIGIN
 from torchjoint.results.result import Result
 from torchjoint.runtime.archives import as_int64, read_archive
 from torchjoint.scene import Scene, Segmentation, Truth
@@ -50,11 +52,12 @@ def with_truth(result: Result, scene: Scene) -> Result:
 
 
 def read_labelled_cloud(path: Path) -> Result:
-    """Reads a .ply, .las or .laz with `label` or `superpoint`, or a .npz with points and labels."""
-    with warnings.catch_warnings(action="ignore", category=UserWarning):  # they were told when it was segmented
+    """Reads a .ply, .las, .laz or text with `label` or `superpoint`, or a .npz with points and labels."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", KEPT)
         cloud, labels = read_cloud_file(path, None, "keep"), _labels(path)
     if labels is None or len(labels) != len(cloud.points):
-        wanted = "a .ply, .las or .laz with `label` or `superpoint`, or a .npz with `labels`"
+        wanted = "a .ply, .las, .laz or text with `label` or `superpoint`, or a .npz with `labels`"
         raise ValueError(f"{path}: expected {wanted}, got no labels")
     name = f"{path}: labels"  # floats would be cut to integers
     whole = as_labels(as_tensor(as_int64(labels, name), name), labels.shape[:1], name)
@@ -67,11 +70,18 @@ def read_labelled_cloud(path: Path) -> Result:
 
 
 def _labels(path: Path) -> npt.NDArray[Any] | None:
-    if path.suffix.lower() == ".npz":
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
         return read_archive(path).get("labels")
-    if path.suffix.lower() in (".las", ".laz"):
+    if suffix in text_clouds.SUFFIXES:
+        return text_clouds.read_column(path, NAMES)
+    if suffix in (".las", ".laz"):
         with open_las(path) as reader:
-            found = [one for one in reader.header.point_format.extra_dimension_names if one in NAMES]
+            found = [one.name for one in reader.header.point_format.extra_dimensions if _has_labels(one)]
             chunks = [np.asarray(chunk[found[-1]]) for chunk in las_chunks(reader, path)] if found else []
         return np.concatenate(chunks) if chunks else None
-    return read_vertex_property(path, *NAMES) if path.suffix.lower() == ".ply" else None
+    return read_vertex_property(path, *NAMES) if suffix == ".ply" else None
+
+
+def _has_labels(dimension: Any) -> bool:
+    return dimension.name in NAMES or (dimension.description == ORIGIN and dimension.dtype == np.int32)

@@ -46,9 +46,7 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         path: of the file.
         letters: of the columns, as of :func:`torchjoint.datasets.files.clouds.read_cloud_file`, or None.
     """
-    with damage_is(str(path)):
-        data = _as_utf8(read_file(path, "a point cloud as text"))
-    start, number, names, count = _preamble(data, f"{path}: not a whole {path.suffix} cloud")
+    data, start, number, names, count = _opened(path)
     if unit := _COLUMN_UNIT.search(data, 0, start) or NO_METRE.search(data, 0, start):
         warnings.warn(f"{path}: {unit[0].decode('utf-8', 'replace')}: taken as metres", stacklevel=4)
     rows = _numbers(data[start:], number, path)
@@ -66,14 +64,21 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         return cloud_of_rows(rows, str(path), count is not None or path.suffix.lower() == ".pts")
 
 
+def read_column(path: Path, wanted: Sequence[str]) -> Array | None:
+    """The numbers of the last column with one of these names, as integers if all are whole; None: there is none."""
+    data, start, number, names, _ = _opened(path)
+    if not (found := [place for place, name in enumerate(names or ()) if name in wanted]):
+        return None
+    values = _numbers(data[start:], number, path)[:, found[-1]]
+    return values.astype(np.int64) if (values == np.floor(values)).all() else values
+
+
 def with_column(path: Path, name: str, values: Sequence[int], out: Path | None = None) -> bytes:
     """The text of a cloud with one more column, `name` in the line of names; its rows have no comments then.
 
     It is for `out`, whose suffix may give seven columns a meaning.
     """
-    with damage_is(str(path)):
-        data = _as_utf8(read_file(path, "a point cloud as text"))
-    start, _, names, _ = _preamble(data, str(path))
+    data, start, _, names, _ = _opened(path)
     head, rows = data[:start].splitlines(), data[start:].splitlines()
     if names is None and (out or path).suffix.lower() == ".pts" and len(rows[0].split()) == 6:
         raise ValueError(f"{path}: 7 columns of a .pts are x y z intensity r g b; give -o NAME.xyz for a label")
@@ -89,6 +94,13 @@ def with_column(path: Path, name: str, values: Sequence[int], out: Path | None =
         titles = head[place]
         head[place] = titles.rstrip().removesuffix(mark) + (mark if mark in titles else b" ") + name.encode()
     return b"\n".join([*head, *rows, b""])
+
+
+def _opened(path: Path) -> tuple[bytes, int, int, list[str] | None, int | None]:
+    """The text of a cloud, and what :func:`_preamble` finds in it."""
+    with damage_is(str(path)):
+        data = _as_utf8(read_file(path, "a point cloud as text"))
+    return data, *_preamble(data, f"{path}: not a whole {path.suffix} cloud")
 
 
 def _as_utf8(data: bytes) -> bytes:
