@@ -4,6 +4,7 @@ import dataclasses
 import io
 import os
 import re
+import signal
 import subprocess
 import sys
 
@@ -147,11 +148,15 @@ def test_an_interrupt_while_fusing_says_what_is_lost(run, scene_of, tmp_path, mo
 )
 def test_a_library_that_does_not_fit_in_memory_is_one_line(run, monkeypatch, message, ends):
     def fails(name):
+        handlers.append(signal.getsignal(signal.SIGINT))
         raise ImportError(message)
 
+    handlers = []
     monkeypatch.setattr(sys.modules["torchjoint.cli.main"], "import_module", fails)
     with pytest.raises(SystemExit if ends else ImportError, match="error: out of memory" if ends else message):
         run("segment", "x")
+    assert handlers != [signal.default_int_handler]  # Ctrl-C: torch would abort, numpy raise another error
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.parametrize("cache", ["cache", ""])

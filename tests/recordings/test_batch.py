@@ -110,6 +110,18 @@ def test_what_is_done_is_skipped(done, scans):
     assert (out / "summary.csv").read_text() == before
 
 
+def test_a_table_tells_of_lost_files_and_what_was_told(scene_of, tmp_path):
+    cloud = write_scans(tmp_path / "scans", scene_of(2)) / "a" / "cloud.ply"
+    cloud.write_bytes(cloud.read_bytes().replace(b"element", b"comment unit: mm\nelement", 1))
+    options = tj.RecordingOptions(max_frames=1, thin=0.2, up=(0, 0, 1))
+    call = partial(tj.batch, tmp_path / "scans" / "a", tmp_path / "out", engine=HereExecutor(), config=QUICK)
+    first = call(options=options).reports["a"].warnings
+    assert first
+    (tmp_path / "out" / "a" / "points.ply").unlink()
+    for _ in range(2):
+        assert call(options=options).reports["a"].warnings == (*first, "points.ply: missing in the result (1 files)")
+
+
 def test_other_parameters_are_not_mixed(done, scans):
     with pytest.raises(ValueError, match=r"out: expected the parameters of .*batch\.yaml"):
         tj.batch(scans, done[0], engine=HereExecutor(), config=QUICK)

@@ -4,6 +4,7 @@ import argparse
 import io
 import os
 import re
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Mapping
@@ -85,7 +86,13 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         except FileNotFoundError as error:  # torch would find its own library no more, and abort
             raise FileNotFoundError("the current folder was deleted; change to another one") from error
         name, chosen = command.replace("-", "_"), commands[command]
-        module = import_module(f"{program.replace('-', '_')}.cli.{chosen.module or name}")
+        if (before := signal.getsignal(signal.SIGINT)) is signal.default_int_handler:
+            # Modules that load turn it into other errors, or abort.
+            signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))
+        try:
+            module = import_module(f"{program.replace('-', '_')}.cli.{chosen.module or name}")
+        finally:
+            signal.signal(signal.SIGINT, before)
         _call(getattr(module, name), f"{program} {command}", arguments, chosen.example)
         sys.stdout.flush()  # here, where an error of a closed pipe can still be handled
     except BrokenPipeError:  # `torchjoint parameters | head`

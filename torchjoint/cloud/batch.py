@@ -1,7 +1,7 @@
 """Checks and splits a batch of clouds for superpoints: one tensor, in which `ptr` gives the start of each cloud."""
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,7 +11,7 @@ from torchjoint.scene.checks import Beams, Invalid, kept_points
 
 
 class Batch(NamedTuple):
-    """The tensors that :func:`torchjoint.superpoints` was given, not checked yet."""
+    """The tensors that :func:`torchjoint.superpoints` was given: dense, and not checked further yet."""
 
     points: Tensor  #: [N, 3] metres
     colors: Tensor | None
@@ -53,8 +53,6 @@ def without_invalid(batch: Batch, invalid: Invalid) -> tuple[Tensor, Batch]:
         which points are kept, [N] bool; and the batch without the others.
     """
     points, colors, normals, edges, faces, ptr, viewpoint = batch
-    if not isinstance(points, Tensor):
-        raise TypeError(f"points: expected a torch.Tensor, got {type(points).__name__}")
     if points.ndim != 2:
         raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
     beams: Beams = "drop many" if edges is None and faces is None else "keep"
@@ -110,9 +108,8 @@ def _views(viewpoint: Tensor | None, starts: list[int]) -> list[Tensor | None]:
     num_clouds, num_points = len(starts) - 1, starts[-1]
     if viewpoint is None:
         return [None] * num_clouds
-    if not isinstance(viewpoint, Tensor) or not viewpoint.is_floating_point():
-        came = viewpoint.dtype if isinstance(viewpoint, Tensor) else type(viewpoint).__name__
-        raise TypeError(f"viewpoint: expected a floating torch.Tensor, got {came}")
+    if not viewpoint.is_floating_point():
+        raise TypeError(f"viewpoint: expected a floating torch.Tensor, got {viewpoint.dtype}")
     shape = list(viewpoint.shape)
     if shape not in ([3], [num_clouds, 3], [num_points, 3]):
         raise ValueError(f"viewpoint: expected shape [3], [{num_clouds}, 3] or [{num_points}, 3], got {shape}")
@@ -126,9 +123,7 @@ def _views(viewpoint: Tensor | None, starts: list[int]) -> list[Tensor | None]:
     return [viewpoint[start:end] for start, end in pairwise(starts)]
 
 
-def _check_integers(name: str, value: Any) -> None:
-    if not isinstance(value, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
+def _check_integers(name: str, value: Tensor) -> None:
     if value.dtype not in (torch.int32, torch.int64):
         raise TypeError(f"{name}: expected dtype torch.int32 or torch.int64, got {value.dtype}")
 

@@ -18,6 +18,7 @@ def check_integers(values: object, told: str) -> None:
     got: object = type(values).__name__
     if isinstance(values, Tensor):
         got = values.dtype if values.layout == torch.strided else values.layout
+        got = "a nested or meta one" if values.is_nested or values.is_meta else got
     if got not in INTEGERS:
         raise TypeError(f"{told}, got {got}")
 

@@ -20,8 +20,8 @@ def check_tensor(name: str, value: object, dtypes: tuple[torch.dtype, ...]) -> N
         raise TypeError(f"{name}: expected dtype {' or '.join(map(str, dtypes))}, got {value.dtype}")
     if value.device.type != "cpu":
         raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
-    if value.layout != torch.strided:
-        raise ValueError(f"{name}: expected a dense tensor, got layout {value.layout}")
+    if value.layout != torch.strided or value.is_nested:
+        raise ValueError(f"{name}: expected a dense tensor, got layout {'nested' if value.is_nested else value.layout}")
 
 
 def check_edge_index(edge_index: object) -> None:

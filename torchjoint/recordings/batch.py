@@ -50,14 +50,15 @@ class Tables:
         self._names = names
         self._next = 0.0
 
-    def earlier_memory(self) -> dict[str, float]:
-        """Reads the peak memory by scene from the summary of an earlier run; the results do not contain it."""
+    def earlier(self) -> dict[str, tuple[float | None, list[str]]]:
+        """Peak memory and warnings by scene, of the summary of an earlier run; the results do not contain them."""
         try:
             rows = list(csv.DictReader(io.StringIO(read_text(self.folder / SUMMARY, "a table"))))
             return {
-                row["scene"].removeprefix("'"): float(row["peak_memory_mb"]) for row in rows if row["peak_memory_mb"]
+                row["scene"].removeprefix("'"): (float(row["peak_memory_mb"] or 0) or None, row["warnings"].split("; "))
+                for row in rows
             }
-        except (OSError, ValueError, KeyError, TypeError, csv.Error):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, csv.Error):
             return {}  # there is no summary, or somebody has edited it
 
     def save(self, *, now: bool = False) -> None:
@@ -271,11 +272,12 @@ def _text(record: dict[str, Any]) -> str:
 def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[str, Path], tuple[str, ...]]:
     """The recordings without a result, and the names of those that have one; a damaged or other result is a failure."""
     skipped = [name for name in found if not job.overwrite and or_unreadable(is_done, job.out / name)]
-    memory = tables.earlier_memory()
+    earlier = tables.earlier()
     for name in skipped:
         try:
-            check_origin(job, name, found[name])
-            tables.reports[name] = report_of(job.out / name, memory.get(name))
+            memory, told = earlier.get(name, (None, []))
+            told = [*filter(None, told), *check_origin(job, name, found[name])]
+            tables.reports[name] = report_of(job.out / name, memory, tuple(dict.fromkeys(told)))
         except (OSError, ValueError, TypeError) as error:
             tables.failures[name] = in_one_line(error)
     todo = {name: path for name, path in found.items() if name not in skipped}
