@@ -129,6 +129,17 @@ def test_a_closed_pipe_is_no_error():
     assert process.wait() == 141
 
 
+def test_a_broken_pipe_to_a_worker_is_told(run, monkeypatch):
+    """It ended as if the output were closed, without a word."""
+
+    def breaks():
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr("torchjoint.cli.arguments.formats", breaks)
+    with pytest.raises(SystemExit, match=r"torchjoint: error: .*Broken pipe"):
+        run("formats")
+
+
 def test_an_interrupt_while_fusing_says_what_is_lost(run, scene_of, tmp_path, monkeypatch, capsys):
     recording = write_folder(tmp_path / "recording", scene_of(2), cloud=False)
 

@@ -114,12 +114,16 @@ def test_a_table_tells_of_lost_files_and_what_was_told(scene_of, tmp_path):
     cloud = write_scans(tmp_path / "scans", scene_of(2)) / "a" / "cloud.ply"
     cloud.write_bytes(cloud.read_bytes().replace(b"element", b"comment unit: mm\nelement", 1))
     options = tj.RecordingOptions(max_frames=1, thin=0.2, up=(0, 0, 1))
-    call = partial(tj.batch, tmp_path / "scans" / "a", tmp_path / "out", engine=HereExecutor(), config=QUICK)
-    first = call(options=options).reports["a"].warnings
+    out, scans = tmp_path / "out", tmp_path / "scans"
+    call = partial(tj.batch, out=out, engine=HereExecutor(), config=QUICK, options=options)
+    first = call(scans / "a").reports["a"].warnings
     assert first
-    (tmp_path / "out" / "a" / "points.ply").unlink()
+    (out / "a" / "points.ply").unlink()
     for _ in range(2):
-        assert call(options=options).reports["a"].warnings == (*first, "points.ply: missing in the result (1 files)")
+        assert call(scans / "a").reports["a"].warnings == (*first, "points.ply: missing in the result (1 files)")
+    row = table(out / "summary.csv")["a"]
+    assert list(call(scans / "c").reports) == ["c"]  # a batch of another scene
+    assert table(out / "summary.csv") | {"c": None} == {"a": row, "c": None}
 
 
 def test_other_parameters_are_not_mixed(done, scans):

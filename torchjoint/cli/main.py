@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor
+from contextlib import suppress
 from dataclasses import is_dataclass
 from difflib import get_close_matches
 from importlib import import_module
@@ -95,7 +96,10 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
             signal.signal(signal.SIGINT, before)
         _call(getattr(module, name), f"{program} {command}", arguments, chosen.example)
         sys.stdout.flush()  # here, where an error of a closed pipe can still be handled
-    except BrokenPipeError:  # `torchjoint parameters | head`
+    except BrokenPipeError as error:  # `torchjoint parameters | head`
+        with suppress(BrokenPipeError):
+            print(flush=True)
+            _tell(program, error)  # stdout is open: another pipe, such as a worker's
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(PIPE_CLOSED)
     except KeyboardInterrupt as stop:
