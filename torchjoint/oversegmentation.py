@@ -22,10 +22,10 @@ from torchjoint.cloud.mesh import face_edges, vertex_normals
 from torchjoint.cloud.neighbors import neighbor_tables, order_along_space
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.config import SuperpointsConfig
-from torchjoint.runtime.groups import first_places
+from torchjoint.runtime.groups import check_dense, first_places
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import as_tensor, check_dense, is_double, without_return
+from torchjoint.scene.checks import as_tensor, without_return
 
 #: A tensor, or a numpy array.
 Values = TypeVar("Values", Tensor, npt.NDArray[Any])
@@ -226,7 +226,7 @@ def _local(cloud: Cloud, is_segmentator: bool) -> tuple[Cloud, Tensor | None]:
         maps.append(of_point)
     # ScanNet's segmentator computes normals from float32 coordinates, as which it reads those of a file. So does this,
     # unless it would round those of a survey.
-    is_single = not is_double(cloud.points) or (is_segmentator and float(cloud.points.abs().max()) < 1000)
+    is_single = cloud.points.dtype != torch.float64 or (is_segmentator and float(cloud.points.abs().max()) < 1000)
     as_given = cloud.faces is not None and is_single
     frame = LocalFrame.of_world() if as_given else LocalFrame.of(cloud.points)
     cloud = frame.cloud(cloud)

@@ -18,9 +18,9 @@ from torch import Tensor
 from torchjoint.cloud.local import distinct_points
 from torchjoint.config import SuperpointsConfig
 from torchjoint.oversegmentation import SuperpointsParameters, superpoints
-from torchjoint.runtime.groups import first_places
+from torchjoint.runtime.groups import check_dense, first_places
 from torchjoint.runtime.threads import num_threads
-from torchjoint.scene.checks import as_points, check_dense
+from torchjoint.scene.checks import as_points
 
 __all__ = ["AddSuperpoints", "transfer_labels"]
 

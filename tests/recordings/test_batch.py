@@ -120,7 +120,7 @@ def test_a_table_tells_of_lost_files_and_what_was_told(scene_of, tmp_path):
     assert first
     (out / "a" / "points.ply").unlink()
     for _ in range(2):
-        assert call(scans / "a").reports["a"].warnings == (*first, "points.ply: missing in the result (1 files)")
+        assert call(scans / "a").reports["a"].warnings == (*first, "points.ply is missing in the result")
     row = table(out / "summary.csv")["a"]
     assert list(call(scans / "c").reports) == ["c"]  # a batch of another scene
     assert table(out / "summary.csv") | {"c": None} == {"a": row, "c": None}

@@ -87,9 +87,8 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         except FileNotFoundError as error:  # torch would find its own library no more, and abort
             raise FileNotFoundError("the current folder was deleted; change to another one") from error
         name, chosen = command.replace("-", "_"), commands[command]
-        if (before := signal.getsignal(signal.SIGINT)) is signal.default_int_handler:
-            # Modules that load turn it into other errors, or abort.
-            signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))
+        # Modules that load turn it into other errors, or abort.
+        before = signal.signal(signal.SIGINT, lambda *_: before == signal.SIG_IGN or os._exit(STOPPED))
         try:
             module = import_module(f"{program.replace('-', '_')}.cli.{chosen.module or name}")
         finally:

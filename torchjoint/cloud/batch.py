@@ -6,8 +6,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchjoint.ops._checks import check_tensor
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import Beams, Invalid, kept_points
+from torchjoint.scene.checks import Beams, Invalid, as_float, kept_points
 
 
 class Batch(NamedTuple):
@@ -74,7 +75,7 @@ def without_invalid(batch: Batch, invalid: Invalid) -> tuple[Tensor, Batch]:
 def _checked_ptr(ptr: Tensor | None, num_points: int) -> list[int]:
     if ptr is None:
         return [0, num_points]
-    _check_integers("ptr", ptr)
+    check_tensor("ptr", ptr, (torch.int32, torch.int64))
     if ptr.ndim != 1 or len(ptr) < 2:
         raise ValueError(f"ptr: expected shape [B + 1], B >= 1, got {list(ptr.shape)}")
     starts: list[int] = ptr.tolist()
@@ -90,7 +91,7 @@ def _checked_nodes(name: str, nodes: Tensor | None, num_points: int) -> Tensor |
     """Edges [2, E] unchanged, faces [F, 3] transposed to [3, F]; int64, all in [0, N)."""
     if nodes is None:
         return None
-    _check_integers(name, nodes)
+    check_tensor(name, nodes, (torch.int32, torch.int64))
     if name == "edges" and (nodes.ndim != 2 or nodes.shape[0] != 2):
         raise ValueError(f"edges: expected shape [2, E], got {list(nodes.shape)}")
     if name == "faces" and (nodes.ndim != 2 or nodes.shape[1] != 3):
@@ -108,24 +109,15 @@ def _views(viewpoint: Tensor | None, starts: list[int]) -> list[Tensor | None]:
     num_clouds, num_points = len(starts) - 1, starts[-1]
     if viewpoint is None:
         return [None] * num_clouds
-    if not viewpoint.is_floating_point():
-        raise TypeError(f"viewpoint: expected a floating torch.Tensor, got {viewpoint.dtype}")
+    viewpoint = as_float(viewpoint, "viewpoint", torch.float64)
     shape = list(viewpoint.shape)
     if shape not in ([3], [num_clouds, 3], [num_points, 3]):
         raise ValueError(f"viewpoint: expected shape [3], [{num_clouds}, 3] or [{num_points}, 3], got {shape}")
-    if not torch.isfinite(viewpoint).all():
-        raise ValueError("viewpoint: expected finite values, got NaN or infinite ones")
-    viewpoint = viewpoint.detach().double()
     if shape == [3]:
         return [viewpoint] * num_clouds
     if shape == [num_clouds, 3]:
         return list(viewpoint)
     return [viewpoint[start:end] for start, end in pairwise(starts)]
-
-
-def _check_integers(name: str, value: Tensor) -> None:
-    if value.dtype not in (torch.int32, torch.int64):
-        raise TypeError(f"{name}: expected dtype torch.int32 or torch.int64, got {value.dtype}")
 
 
 def _split(nodes: Tensor | None, starts: list[int], name: str) -> list[Tensor | None]:

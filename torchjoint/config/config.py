@@ -166,16 +166,6 @@ class Config:
         return cls().replace(values or {})
 
     @classmethod
-    def from_yaml(cls, path: str | Path) -> Self:
-        """Reads a YAML file with the structure of :meth:`to_dict`.
-
-        Raises:
-            FileNotFoundError: there is no such file.
-            ValueError, TypeError: invalid YAML, an unknown name or a bad value; the message names the file.
-        """
-        return read_yaml(Path(path), cls.from_dict, "stages with parameters")
-
-    @classmethod
     def from_preset(cls, name: str) -> Self:
         """Reads one of the package's presets (see :func:`presets`), or a YAML file of your own.
 

@@ -92,8 +92,7 @@ class Tables:
                 (self.folder / name).unlink(missing_ok=True)
 
     def _summary(self) -> str:
-        own = [(name, self.reports[name]) for name in self._names if name in self.reports]
-        reports = [*self.others.items(), *own]
+        reports = [*self.others.items(), *((name, self.reports[name]) for name in self._names if name in self.reports)]
         parts = list(dict.fromkeys(part for _, report in reports for part in report.seconds))
         header = (*_COLUMNS[:5], *(f"seconds: {part}" for part in parts), *_COLUMNS[5:])
         return csv_text([header, *(_row(name, report, parts) for name, report in reports)])

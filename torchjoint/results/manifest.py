@@ -97,14 +97,14 @@ def check_sizes(folder: Path) -> tuple[str, ...]:
     """Checks that the files of a result are there and have their sizes, without reading them: results may be many.
 
     Returns:
-        what is told of files that are missing, and that nothing reads.
+        what is told of files that are missing and that nothing reads, at most three.
     """
     record = read_yaml(folder / RUN, dict, "a record of a run")
     for name, (size, _) in _read(folder / FILE, record).items():
         if present(folder / name, "a whole result").stat().st_size != size:
             raise ValueError(f"{folder / name}: expected the {size} bytes that the run wrote; delete the result")
-    lost = [name for name in _read(folder / FILE, record, "shown") if not has_file(folder / name)]
-    return (f"{', '.join(lost[:3])}: missing in the result ({len(lost)} files)",) if lost else ()
+    shown = _read(folder / FILE, record, "shown")
+    return tuple(f"{name} is missing in the result" for name in shown if not has_file(folder / name))[:3]
 
 
 def listed_files(folder: Path) -> dict[str, list[Any]]:

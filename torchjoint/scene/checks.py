@@ -11,6 +11,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.groups import check_dense
+
 #: What becomes of points that are NaN or infinite.
 Invalid = Literal["refuse", "drop", "keep"]
 Beams = Literal["keep", "drop many", "drop any"]
@@ -41,13 +43,13 @@ def as_points(points: Tensor, name: str = "points") -> Tensor:
         raise ValueError(f"{name}: {bad} of {len(points)} points are NaN or infinite; {others} are the others")
     if points.dtype in (torch.float16, torch.bfloat16) and points.numel():
         tell_half(float(points.abs().max()), points.dtype, name)
-    points = as_float(points, name, points.dtype if is_double(points) else torch.float32)
+    points = as_float(points, name, points.dtype if points.dtype == torch.float64 else torch.float32)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape [N, 3], got {list(points.shape)}")
     if points.shape[0] == 0:
         raise ValueError(f"{name}: expected at least one point, got an empty cloud")
     check_largest(points, name)
-    if is_double(points):
+    if points.dtype == torch.float64:
         rounded = points.float()
         return rounded if torch.equal(rounded.double(), points) else points
     return points
@@ -111,11 +113,6 @@ def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "kee
         warnings.warn(f"{told}; they are left out", stacklevel=3)
         valid &= ~none
     return valid
-
-
-def is_double(value: Tensor) -> bool:
-    """Whether the value is a float64 tensor."""
-    return isinstance(value, Tensor) and value.dtype == torch.float64
 
 
 def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
@@ -221,17 +218,6 @@ def as_float(value: Tensor, name: str, dtype: torch.dtype) -> Tensor:
         count = int((~torch.isfinite(value)).sum())
         raise ValueError(f"{name}: expected finite values, got {count} NaN or infinite of {value.numel()}")
     return value.detach().resolve_neg().to(dtype)
-
-
-def check_dense(value: object, name: str) -> None:
-    """Checks that a value is a tensor whose numbers lie in memory."""
-    if not isinstance(value, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
-    if value.device.type != "cpu":
-        raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
-    if value.layout != torch.strided or value.is_nested or value.is_quantized:
-        kind = "nested tensors" if value.is_nested else value.dtype if value.is_quantized else value.layout
-        raise TypeError(f"{name}: expected a dense tensor, got one of {kind}")
 
 
 def _is_finite(value: Tensor) -> bool:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchjoint.scene.checks import as_float, as_points, as_unit_range, check_dense, check_shape
+from torchjoint.runtime.groups import check_dense
+from torchjoint.scene.checks import as_float, as_points, as_unit_range, check_shape
 
 #: Normals whose length differs from 1 by less than this are kept as they are.
 UNIT = 1e-6

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime import bounds
-from torchjoint.runtime.groups import best_of_groups, first_places
+from torchjoint.runtime.groups import best_of_groups, check_dense, first_places
 from torchjoint.runtime.threads import on_cpu
-from torchjoint.scene.checks import as_float, as_labels, check_dense, check_shape
+from torchjoint.scene.checks import as_float, as_labels, check_shape
 
 #: The range of ids.
 INT64 = torch.iinfo(torch.int64)
@@ -269,10 +269,8 @@ def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None
     check_dense(masks, name)
     if masks.ndim == 3 and masks.shape[:2] == size and masks.shape[1:] != size:
         raise ValueError(f"{name}: expected [M, H, W], got [H, W, M]? {list(masks.shape)} in an image of {list(size)}")
-    if masks.dtype == torch.bool:
+    if masks.dtype == torch.bool or masks.ndim == 3:
         return Masks.from_stack(masks[None] if masks.ndim == 2 else masks, scores, name).resized(size)
-    if masks.ndim == 3:
-        raise TypeError(f"{name}: expected dtype bool for a stack [M, H, W], got {masks.dtype}; use `stack > 0.5`?")
     masks = as_labels(masks, tuple(masks.shape), name)
     if masks.numel() and int(masks.min()) == 0:
         told = f"{name}: 0 counts as a mask, and no pixel is -1 (none)"

@@ -116,15 +116,6 @@ def test_a_file_without_chunks(tmp_path, points_of_header):
         read_las(path)
 
 
-@pytest.mark.parametrize(("place", "value", "told"), [(25, 5, "393 .* in version 1.5"), (104, 99, "0 to 10")])
-def test_a_version_or_points_that_are_not_known(tmp_path, place, value, told):
-    data = bytearray(las(tmp_path / "a.las", None).read_bytes())
-    data[place] = value
-    (tmp_path / "a.las").write_bytes(data)
-    with pytest.raises(ValueError, match=rf"a\.las: not a whole LAS file: expected a .*{told}"):
-        read_las(tmp_path / "a.las")
-
-
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_a_wide_count_of_0_beside_the_narrow_one(tmp_path, suffix):
     cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.4"))

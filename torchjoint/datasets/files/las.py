@@ -32,9 +32,8 @@ SUFFIXES = (".las", ".laz")
 COPC = ".copc.laz"
 #: Points that are read at a time; a chunk of LAZ has 50,000.
 CHUNK = 1_000_000
-#: Sizes of the header's fixed part (also by minor version), of a variable length record's, of an extended one's, bytes.
+#: Sizes of the header's fixed part, of the header of a variable length record, and of an extended one, bytes.
 HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
-HEADERS = (HEADER, HEADER, HEADER, 235, 375, 393)
 #: Keys of GeoTIFF: the projected coordinate system, the geographic one, and their value if the code is not EPSG's.
 PROJECTED, GEOGRAPHIC, USER_DEFINED = 3072, 2048, 32767
 #: Keys of the kind of coordinates, 2 for degrees, and of the units of lengths and of heights; codes of metres, or none.
@@ -260,10 +259,7 @@ def _parse(head: bytes) -> LasHeader:
     if version[1] >= 4:
         extended_at, num_extended, wide = struct.unpack_from("<QIQ", head, 235)
         num_points = wide or num_points
-    if size < HEADERS[version[1]] or kind & ~COMPRESSED > 10:
-        told = f"expected a header of {HEADERS[version[1]]} bytes or more, and points of format 0 to 10, in version"
-        raise ValueError(f"{told} 1.{version[1]}, got {size} and {kind & ~COMPRESSED}")
-    if points_at < size + RECORD * num_records:
+    if size < HEADER or points_at < size + RECORD * num_records:
         raise ValueError(f"the points begin at byte {points_at}, inside a header with {num_records} records")
     if record_size < 20:
         raise ValueError(f"expected points of at least 20 bytes, got {record_size}")

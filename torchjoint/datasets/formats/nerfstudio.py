@@ -136,10 +136,8 @@ def read_camera(frame: Record, color: Path) -> Camera:
 
 def _with_lens(record: Record) -> Record:
     """A record with the numbers of its `distortion_params` by their names."""
-    if "distortion_params" not in record:
-        return record
-    given = record.numbers("distortion_params", 6).tolist()
-    named = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=True))
+    given = record.numbers("distortion_params", 6).tolist() if "distortion_params" in record else []
+    named = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=False))
     for key, value in named.items():
         if record.number(key, value) not in (value, 0):
             raise ValueError(f"{record.name}: {key}: expected {value} as in distortion_params, or 0, got another")
