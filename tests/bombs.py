@@ -133,7 +133,7 @@ def read_coco(path: Path) -> Any:
 
 
 def read_yaml(path: Path) -> Any:
-    return tj.Config.from_yaml(path)
+    return tj.Config.from_preset(str(path))
 
 
 VERTEX = ("element vertex 1", "property float x", "property float y", "property float z")

@@ -327,7 +327,7 @@ NAN = torch.full((30, 3), float("nan"))
 EDGES = torch.tensor([[0, 1], [1, 2]])
 ERRORS = [
     ({"points": [[0.0, 0, 0]]}, TypeError, "points: expected a torch.Tensor, got list"),
-    ({"points": POINTS.to_sparse()}, TypeError, "superpoints: expected dense tensors, got one of torch.sparse_coo"),
+    ({"points": POINTS.to_sparse()}, TypeError, "points: expected a dense tensor, got one of torch.sparse_coo"),
     ({"points": POINTS.long()}, TypeError, "points: expected a floating dtype, got torch.int64"),
     ({"points": POINTS[:, :2]}, ValueError, "points: expected shape [N, 3], got [30, 2]"),
     ({"points": POINTS[:0]}, ValueError, "points: expected at least one point, got an empty cloud"),
@@ -354,7 +354,7 @@ ERRORS = [
     ({"ptr": torch.tensor([1, 30])}, ValueError, "ptr: expected to go from 0 to N = 30, got 1 to 30"),
     ({"ptr": torch.tensor([0, 20, 10, 30])}, ValueError, "ptr: expected ascending numbers (no cloud is empty), got 20"),
     ({"ptr": torch.tensor([0, 20, 20, 30])}, ValueError, "got 20, 20 for cloud 1"),
-    ({"viewpoint": (0, 0, 0)}, TypeError, "viewpoint: expected a floating torch.Tensor, got tuple"),
+    ({"viewpoint": (0, 0, 0)}, TypeError, "viewpoint: expected a torch.Tensor, got tuple"),
     ({"viewpoint": torch.zeros(2, 3)}, ValueError, "viewpoint: expected shape [3], [1, 3] or [30, 3], got [2, 3]"),
     ({"viewpoint": NAN[0]}, ValueError, "viewpoint: expected finite values"),
     ({"preset": "nope"}, ValueError, "preset: expected one of default, scan, segmentator, or a YAML file, got 'nope'"),

@@ -22,10 +22,10 @@ from torchjoint.cloud.mesh import face_edges, vertex_normals
 from torchjoint.cloud.neighbors import neighbor_tables, order_along_space
 from torchjoint.cloud.normals import estimate_normals
 from torchjoint.config import SuperpointsConfig
-from torchjoint.runtime.groups import first_places
+from torchjoint.runtime.groups import check_dense, first_places
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import as_tensor, is_double, without_return
+from torchjoint.scene.checks import as_tensor, without_return
 
 #: A tensor, or a numpy array.
 Values = TypeVar("Values", Tensor, npt.NDArray[Any])
@@ -114,9 +114,10 @@ def superpoints(
     """
     given: list[Any] = [points, colors, normals, edges, faces, ptr, viewpoint]
     given = [as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given]
-    if odd := [one.layout for one in given if isinstance(one, Tensor) and one.layout != torch.strided]:
-        raise TypeError(f"superpoints: expected dense tensors, got one of {odd[0]}")
     batch, valid = Batch(*given), None
+    for name, value in batch._asdict().items():
+        if value is not None or name == "points":
+            check_dense(value, name)
     if drop_invalid or _has_beams(batch):
         valid, batch = without_invalid(batch, "drop" if drop_invalid else "keep")
     labels = _segment_batch(batch, preset, parameters)
@@ -127,8 +128,7 @@ def superpoints(
 
 def _has_beams(batch: Batch) -> bool:
     """Whether a cloud without a graph has beams without return."""
-    points: object = batch.points
-    is_cloud = isinstance(points, Tensor) and points.ndim == 2 and batch.edges is None and batch.faces is None
+    is_cloud = batch.points.ndim == 2 and batch.edges is None and batch.faces is None
     return is_cloud and bool(without_return(batch.points).any())
 
 
@@ -226,7 +226,7 @@ def _local(cloud: Cloud, is_segmentator: bool) -> tuple[Cloud, Tensor | None]:
         maps.append(of_point)
     # ScanNet's segmentator computes normals from float32 coordinates, as which it reads those of a file. So does this,
     # unless it would round those of a survey.
-    is_single = not is_double(cloud.points) or (is_segmentator and float(cloud.points.abs().max()) < 1000)
+    is_single = cloud.points.dtype != torch.float64 or (is_segmentator and float(cloud.points.abs().max()) < 1000)
     as_given = cloud.faces is not None and is_single
     frame = LocalFrame.of_world() if as_given else LocalFrame.of(cloud.points)
     cloud = frame.cloud(cloud)

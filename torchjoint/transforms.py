@@ -18,7 +18,7 @@ from torch import Tensor
 from torchjoint.cloud.local import distinct_points
 from torchjoint.config import SuperpointsConfig
 from torchjoint.oversegmentation import SuperpointsParameters, superpoints
-from torchjoint.runtime.groups import first_places
+from torchjoint.runtime.groups import check_dense, first_places
 from torchjoint.runtime.threads import num_threads
 from torchjoint.scene.checks import as_points
 
@@ -129,8 +129,7 @@ def transfer_labels(
     """
     source = as_points(from_points, "from_points").double()
     target = as_points(to_points, "to_points").double().numpy()
-    if not isinstance(labels, Tensor):
-        raise TypeError(f"labels: expected a torch.Tensor, got {type(labels).__name__}")
+    check_dense(labels, "labels")
     if labels.ndim == 0 or len(labels) != len(source):
         raise ValueError(f"labels: expected one for each of {len(source)} from_points, got {list(labels.shape)}")
     if max_distance is not None and not (math.isfinite(max_distance) and max_distance >= 0):

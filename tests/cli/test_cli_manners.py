@@ -4,6 +4,7 @@ import dataclasses
 import io
 import os
 import re
+import signal
 import subprocess
 import sys
 
@@ -128,6 +129,17 @@ def test_a_closed_pipe_is_no_error():
     assert process.wait() == 141
 
 
+def test_a_broken_pipe_to_a_worker_is_told(run, monkeypatch):
+    """It ended as if the output were closed, without a word."""
+
+    def breaks():
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr("torchjoint.cli.arguments.formats", breaks)
+    with pytest.raises(SystemExit, match=r"torchjoint: error: .*Broken pipe"):
+        run("formats")
+
+
 def test_an_interrupt_while_fusing_says_what_is_lost(run, scene_of, tmp_path, monkeypatch, capsys):
     recording = write_folder(tmp_path / "recording", scene_of(2), cloud=False)
 
@@ -147,11 +159,15 @@ def test_an_interrupt_while_fusing_says_what_is_lost(run, scene_of, tmp_path, mo
 )
 def test_a_library_that_does_not_fit_in_memory_is_one_line(run, monkeypatch, message, ends):
     def fails(name):
+        handlers.append(signal.getsignal(signal.SIGINT))
         raise ImportError(message)
 
+    handlers = []
     monkeypatch.setattr(sys.modules["torchjoint.cli.main"], "import_module", fails)
     with pytest.raises(SystemExit if ends else ImportError, match="error: out of memory" if ends else message):
         run("segment", "x")
+    assert handlers != [signal.default_int_handler]  # Ctrl-C: torch would abort, numpy raise another error
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.parametrize("cache", ["cache", ""])

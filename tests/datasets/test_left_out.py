@@ -93,6 +93,10 @@ def test_things_of_s3dis_whose_files_have_other_names(tmp_path):
     (path / "Annotations" / "chair_1.txt").rename(path / "Annotations" / "arm-chair_1.txt")
     with pytest.warns(UserWarning, match=r": 1 files in Annotations are no CLASS_N\.txt; not read: arm-chair_1\.txt"):
         tj.load_scene(path)
+    for file in (path / "Annotations").iterdir():
+        file.rename(file.with_suffix(".text"))
+    with pytest.raises(ValueError, match=r"of no known format.* needs Annotations/ with CLASS_N\.txt"):
+        tj.load_scene(path.parent)
 
 
 def test_a_lost_image_of_replica_moves_no_pose(tmp_path):

@@ -278,6 +278,16 @@ def test_what_cannot_be_matched_is_an_error(tmp_path):
         tj.masks.read_folder(tmp_path, scene_of("a"), without="drop")
 
 
+@pytest.mark.parametrize(("dtype", "top", "is_told"), [("u1", 255, True), ("u2", 65535, True), ("u2", 255, False)])
+def test_a_largest_label_that_may_mean_none(tmp_path, dtype, top, is_told):
+    """VOC and others write 255 where nothing is labelled: it was a mask around all things."""
+    Image.fromarray(np.array([[0, 1, 2], [top, 2, 2]], dtype)).save(tmp_path / "a.png")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert tj.masks.read_masks(tmp_path / "a.png").ids == (1, 2, top)
+    assert [f"{top} is a label in images of labels" in str(one.message) for one in told] == [True] * is_told
+
+
 def test_an_image_of_0_and_255_is_told_to_be_one_mask(tmp_path):
     write_labels(tmp_path / "a.png", value=255)
     with pytest.warns(UserWarning, match=r"only 0 and 255 is taken as one mask; of several things, .* in NAME/"):

@@ -110,6 +110,22 @@ def test_what_is_done_is_skipped(done, scans):
     assert (out / "summary.csv").read_text() == before
 
 
+def test_a_table_tells_of_lost_files_and_what_was_told(scene_of, tmp_path):
+    cloud = write_scans(tmp_path / "scans", scene_of(2)) / "a" / "cloud.ply"
+    cloud.write_bytes(cloud.read_bytes().replace(b"element", b"comment unit: mm\nelement", 1))
+    options = tj.RecordingOptions(max_frames=1, thin=0.2, up=(0, 0, 1))
+    out, scans = tmp_path / "out", tmp_path / "scans"
+    call = partial(tj.batch, out=out, engine=HereExecutor(), config=QUICK, options=options)
+    first = call(scans / "a").reports["a"].warnings
+    assert first
+    (out / "a" / "points.ply").unlink()
+    for _ in range(2):
+        assert call(scans / "a").reports["a"].warnings == (*first, "points.ply is missing in the result")
+    row = table(out / "summary.csv")["a"]
+    assert list(call(scans / "c").reports) == ["c"]  # a batch of another scene
+    assert table(out / "summary.csv") | {"c": None} == {"a": row, "c": None}
+
+
 def test_other_parameters_are_not_mixed(done, scans):
     with pytest.raises(ValueError, match=r"out: expected the parameters of .*batch\.yaml"):
         tj.batch(scans, done[0], engine=HereExecutor(), config=QUICK)

@@ -19,7 +19,7 @@ ERRORS = [
     ({"edge_index": EDGES.t()}, ValueError, "edge_index: expected shape [2, E], got [3, 2]"),
     ({"edge_index": EDGES[0]}, ValueError, "edge_index: expected shape [2, E], got [3]"),
     ({"edge_index": EDGES.to("meta")}, ValueError, "edge_index: expected a CPU tensor, got one on meta"),
-    ({"edge_index": EDGES.to_sparse()}, ValueError, "edge_index: expected a dense tensor"),
+    ({"edge_index": EDGES.to_sparse()}, TypeError, "edge_index: expected a dense tensor"),
     ({"edge_index": changed(EDGES, 4, 1, 2)}, ValueError, "numbers in [0, 4), got 4 at edge 2"),
     ({"edge_index": changed(EDGES, -1, 0, 1)}, ValueError, "numbers in [0, 4), got -1 at edge 1"),
     ({"edge_index": changed(EDGES, 2**40, 0, 1)}, ValueError, f"got {2**40} at edge 1"),

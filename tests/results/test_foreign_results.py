@@ -75,7 +75,7 @@ def test_other_files(trap, tmp_path):
         "masks.json": tj.masks.read_masks,
         "boxes.json": read_boxes,
         "boxes.txt": read_boxes,
-        "config.yaml": tj.Config.from_yaml,
+        "config.yaml": lambda path: tj.Config.from_preset(str(path)),
         "state": tj.LiveSegmenter().restore,
         "cloud.npy": tj.load_scene,
     }

@@ -82,7 +82,7 @@ def test_without_a_hierarchy_there_are_whole_segments():
     ("arguments", "message"),
     [
         ({}, "points, pixels: expected at least one"),
-        ({"points": [1]}, "points: expected a tensor, got list"),
+        ({"points": [1]}, "points: expected a torch.Tensor, got list"),
         ({"points": torch.tensor([6])}, r"points: expected indices in \[0, 6\), got 6 to 6"),
         ({"points": torch.tensor([True])}, r"points: expected indices of shape \[K\], int64"),
         ({"points": torch.rand(3)}, r"points: expected finite positions of shape \[K, 3\], got \[3\]"),

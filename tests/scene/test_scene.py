@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 import torch
 
-from torchjoint import Config, Frame, Scene, load_scene, superpoints
-from torchjoint.masks import from_labels
+from torchjoint import Config, Frame, Masks, Scene, load_scene, ops, superpoints
+from torchjoint.masks import from_instances, from_labels
+from torchjoint.metrics import mean_best_iou
 from torchjoint.recordings.segment import RecordingOptions
 from torchjoint.scene import Truth
+from torchjoint.transforms import transfer_labels
 
 K = torch.tensor([[100.0, 0, 31.5], [0, 100, 23.5], [0, 0, 1]])
 POSE = torch.eye(4)
@@ -139,7 +141,7 @@ def rotation_scaled(factor):
         (
             {"labels": torch.ones(48, 64).long().to_sparse()},
             TypeError,
-            "labels of frame 'f': .*int64, torch.sparse_coo",
+            "labels of frame 'f': expected a dense tensor, got one of torch.sparse_coo",
         ),
         ({"name": 5}, TypeError, "name: expected a text, got 5"),
         ({"depth": torch.ones(48, 64).to_sparse()}, TypeError, "depth of frame 'f': expected a dense tensor, got one"),
@@ -150,6 +152,40 @@ def test_bad_frames(change, error, message):
     arguments = {"image": IMAGE, "intrinsics": K, "world_to_camera": POSE, "name": "f"} | change
     with pytest.raises(error, match=message):
         Frame(**arguments)
+
+
+NUMBERS = torch.ones(4, 3)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        Scene,
+        lambda odd: Scene(NUMBERS, colors=odd),
+        lambda odd: Frame(odd, K, POSE),
+        lambda odd: Frame(IMAGE, odd, POSE),
+        lambda odd: Frame(IMAGE, K, POSE, masks=odd),
+        superpoints,
+        Masks.from_labels,
+        lambda odd: transfer_labels(odd, NUMBERS, NUMBERS),
+        lambda odd: ops.nearest_neighbors(odd, NUMBERS, 1),
+        lambda odd: mean_best_iou(odd, NUMBERS.long()),
+        lambda odd: from_instances({"pred_masks": odd}),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*(nested|quantize)")
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: torch.nested.nested_tensor([NUMBERS, NUMBERS[:2]]),
+        lambda: NUMBERS.to("meta"),
+        lambda: torch.quantize_per_tensor(NUMBERS, 0.1, 0, torch.quint8),
+    ],
+    ids=["nested", "meta", "quantized"],
+)
+def test_tensors_without_numbers_in_a_row(call, make):
+    with pytest.raises((TypeError, ValueError), match=r"^[\w ]+: expected"):
+        call(make())
 
 
 @pytest.mark.parametrize(

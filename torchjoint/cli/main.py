@@ -4,10 +4,12 @@ import argparse
 import io
 import os
 import re
+import signal
 import sys
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor
+from contextlib import suppress
 from dataclasses import is_dataclass
 from difflib import get_close_matches
 from importlib import import_module
@@ -85,10 +87,18 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         except FileNotFoundError as error:  # torch would find its own library no more, and abort
             raise FileNotFoundError("the current folder was deleted; change to another one") from error
         name, chosen = command.replace("-", "_"), commands[command]
-        module = import_module(f"{program.replace('-', '_')}.cli.{chosen.module or name}")
+        # Modules that load turn it into other errors, or abort.
+        before = signal.signal(signal.SIGINT, lambda *_: before == signal.SIG_IGN or os._exit(STOPPED))
+        try:
+            module = import_module(f"{program.replace('-', '_')}.cli.{chosen.module or name}")
+        finally:
+            signal.signal(signal.SIGINT, before)
         _call(getattr(module, name), f"{program} {command}", arguments, chosen.example)
         sys.stdout.flush()  # here, where an error of a closed pipe can still be handled
-    except BrokenPipeError:  # `torchjoint parameters | head`
+    except BrokenPipeError as error:  # `torchjoint parameters | head`
+        with suppress(BrokenPipeError):
+            print(flush=True)
+            _tell(program, error)  # stdout is open: another pipe, such as a worker's
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(PIPE_CLOSED)
     except KeyboardInterrupt as stop:

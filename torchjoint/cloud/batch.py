@@ -1,17 +1,18 @@
 """Checks and splits a batch of clouds for superpoints: one tensor, in which `ptr` gives the start of each cloud."""
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchjoint.ops._checks import check_tensor
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import Beams, Invalid, kept_points
+from torchjoint.scene.checks import Beams, Invalid, as_float, kept_points
 
 
 class Batch(NamedTuple):
-    """The tensors that :func:`torchjoint.superpoints` was given, not checked yet."""
+    """The tensors that :func:`torchjoint.superpoints` was given: dense, and not checked further yet."""
 
     points: Tensor  #: [N, 3] metres
     colors: Tensor | None
@@ -53,8 +54,6 @@ def without_invalid(batch: Batch, invalid: Invalid) -> tuple[Tensor, Batch]:
         which points are kept, [N] bool; and the batch without the others.
     """
     points, colors, normals, edges, faces, ptr, viewpoint = batch
-    if not isinstance(points, Tensor):
-        raise TypeError(f"points: expected a torch.Tensor, got {type(points).__name__}")
     if points.ndim != 2:
         raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
     beams: Beams = "drop many" if edges is None and faces is None else "keep"
@@ -76,7 +75,7 @@ def without_invalid(batch: Batch, invalid: Invalid) -> tuple[Tensor, Batch]:
 def _checked_ptr(ptr: Tensor | None, num_points: int) -> list[int]:
     if ptr is None:
         return [0, num_points]
-    _check_integers("ptr", ptr)
+    check_tensor("ptr", ptr, (torch.int32, torch.int64))
     if ptr.ndim != 1 or len(ptr) < 2:
         raise ValueError(f"ptr: expected shape [B + 1], B >= 1, got {list(ptr.shape)}")
     starts: list[int] = ptr.tolist()
@@ -92,7 +91,7 @@ def _checked_nodes(name: str, nodes: Tensor | None, num_points: int) -> Tensor |
     """Edges [2, E] unchanged, faces [F, 3] transposed to [3, F]; int64, all in [0, N)."""
     if nodes is None:
         return None
-    _check_integers(name, nodes)
+    check_tensor(name, nodes, (torch.int32, torch.int64))
     if name == "edges" and (nodes.ndim != 2 or nodes.shape[0] != 2):
         raise ValueError(f"edges: expected shape [2, E], got {list(nodes.shape)}")
     if name == "faces" and (nodes.ndim != 2 or nodes.shape[1] != 3):
@@ -110,27 +109,15 @@ def _views(viewpoint: Tensor | None, starts: list[int]) -> list[Tensor | None]:
     num_clouds, num_points = len(starts) - 1, starts[-1]
     if viewpoint is None:
         return [None] * num_clouds
-    if not isinstance(viewpoint, Tensor) or not viewpoint.is_floating_point():
-        came = viewpoint.dtype if isinstance(viewpoint, Tensor) else type(viewpoint).__name__
-        raise TypeError(f"viewpoint: expected a floating torch.Tensor, got {came}")
+    viewpoint = as_float(viewpoint, "viewpoint", torch.float64)
     shape = list(viewpoint.shape)
     if shape not in ([3], [num_clouds, 3], [num_points, 3]):
         raise ValueError(f"viewpoint: expected shape [3], [{num_clouds}, 3] or [{num_points}, 3], got {shape}")
-    if not torch.isfinite(viewpoint).all():
-        raise ValueError("viewpoint: expected finite values, got NaN or infinite ones")
-    viewpoint = viewpoint.detach().double()
     if shape == [3]:
         return [viewpoint] * num_clouds
     if shape == [num_clouds, 3]:
         return list(viewpoint)
     return [viewpoint[start:end] for start, end in pairwise(starts)]
-
-
-def _check_integers(name: str, value: Any) -> None:
-    if not isinstance(value, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
-    if value.dtype not in (torch.int32, torch.int64):
-        raise TypeError(f"{name}: expected dtype torch.int32 or torch.int64, got {value.dtype}")
 
 
 def _split(nodes: Tensor | None, starts: list[int], name: str) -> list[Tensor | None]:

@@ -171,7 +171,7 @@ def _cloud_inside(path: Path) -> str:
 
 def _nearest(path: Path) -> str:
     """What the format needs that mentions most of the names in a folder, or most of their suffixes."""
-    present = list(path.iterdir()) if has_folder(path) else [path]
+    present = [*path.iterdir(), *path.glob("*/*/")] if has_folder(path) else [path]
     names, suffixes = {one.name for one in present}, {one.suffix.lower() for one in present} - {""}
 
     def likeness(module: Format) -> tuple[int, int]:

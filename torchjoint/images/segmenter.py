@@ -11,6 +11,7 @@ from torchjoint.config import Config
 from torchjoint.images.boundary import make_boundary
 from torchjoint.images.contours import close_contours
 from torchjoint.images.pixel_graph import segment_image
+from torchjoint.runtime.groups import renumber_by_value
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Masks
@@ -126,7 +127,7 @@ class ImageSegmenter(nn.Module):
             output = self._run(self.segmenter, torch.stack([frames[index].image for index in missing]))
             for index, segments in zip(missing, output, strict=True):
                 given[index] = segments
-        return [_dense(segments) if isinstance(segments, Tensor) else segments for segments in given]
+        return [renumber_by_value(segments)[1] if isinstance(segments, Tensor) else segments for segments in given]
 
     def _run(self, segmenter: nn.Module, images: Tensor) -> list[Masks | Tensor]:
         """The masks or labels of images [B, 3, H, W], checked."""
@@ -155,9 +156,3 @@ class ImageSegmenter(nn.Module):
             return ImageSegments(boundary, masks.atom.long(), masks)
 
         return parallel_map(segment, [*zip(frames, given, boundaries, strict=True)])
-
-
-def _dense(labels: Tensor) -> Tensor:
-    """Renumbers labels to 0, 1, ... in ascending order; -1 stays."""
-    values, dense = torch.unique(labels, return_inverse=True)
-    return dense - int((values < 0).sum())

@@ -20,7 +20,8 @@ def as_tensor(values: Any, name: str) -> Tensor:
         TypeError: neither of the two, or one that has no real numbers or booleans.
     """
     if isinstance(values, Tensor):
-        if values.dtype.is_complex or values.layout != torch.strided:
+        is_dense = values.layout == torch.strided and not (values.is_nested or values.is_meta or values.is_quantized)
+        if values.dtype.is_complex or not is_dense:
             raise TypeError(f"{name}: expected a dense tensor of real numbers, got {values.layout}, {values.dtype}")
         return values.detach().cpu()
     if not isinstance(values, np.ndarray) or isinstance(values, np.ma.MaskedArray):

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchjoint.metrics.overlaps import check_integers, checked_labels, count_keys, places, renumber_by_value
+from torchjoint.metrics.overlaps import check_integers, checked_labels, count_keys, places
+from torchjoint.runtime.groups import renumber_by_value
 
 
 class Intersections(NamedTuple):

@@ -157,7 +157,7 @@ def _checked_scores(scores: Tensor | None, labels: Tensor | None, count: int) ->
     """The score of each instance, [K] float64."""
     if scores is None:
         return torch.ones(count, dtype=torch.float64)
-    if not isinstance(scores, Tensor) or scores.is_complex() or scores.layout != torch.strided:
+    if not isinstance(scores, Tensor) or scores.is_complex() or scores.layout != torch.strided or scores.is_nested:
         raise TypeError(f"scores: expected a tensor of real numbers, got {getattr(scores, 'dtype', type(scores))}")
     if labels is not None:
         if scores.dim() != 1 or (len(labels) and int(labels[-1]) >= len(scores)):

@@ -6,7 +6,8 @@ from statistics import fmean
 import torch
 from torch import Tensor
 
-from torchjoint.metrics.overlaps import check_integers, checked_pair, largest, overlap_tables, places, renumber_by_value
+from torchjoint.metrics.overlaps import check_integers, checked_pair, largest, overlap_tables, places
+from torchjoint.runtime.groups import renumber_by_value
 from torchjoint.runtime.threads import on_cpu
 
 

@@ -7,21 +7,19 @@ NaN, signs) when they read them, and also raise :class:`ValueError`.
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.groups import check_dense
+
 FLOATING = (torch.float32, torch.float64)
 MAX_NODES = 2**31 - 1
 Dtypes = torch.dtype | tuple[torch.dtype, ...]
 
 
-def check_tensor(name: str, value: object, dtypes: tuple[torch.dtype, ...]) -> None:
-    """Raise unless ``value`` is a dense CPU tensor of one of the dtypes."""
-    if not isinstance(value, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
-    if value.dtype not in dtypes:
-        raise TypeError(f"{name}: expected dtype {' or '.join(map(str, dtypes))}, got {value.dtype}")
-    if value.device.type != "cpu":
-        raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
-    if value.layout != torch.strided:
-        raise ValueError(f"{name}: expected a dense tensor, got layout {value.layout}")
+def check_tensor(name: str, value: object, dtypes: tuple[torch.dtype, ...]) -> Tensor:
+    """Return ``value``, which must be a dense CPU tensor of one of the dtypes."""
+    tensor = check_dense(value, name)
+    if tensor.dtype not in dtypes:
+        raise TypeError(f"{name}: expected dtype {' or '.join(map(str, dtypes))}, got {tensor.dtype}")
+    return tensor
 
 
 def check_edge_index(edge_index: object) -> None:
@@ -31,21 +29,19 @@ def check_edge_index(edge_index: object) -> None:
 
 def check_vector(name: str, value: object, length: int | None, length_name: str) -> None:
     """Raise unless ``value`` is a floating CPU tensor ``[length]``; None allows any length."""
-    check_tensor(name, value, FLOATING)
-    assert isinstance(value, Tensor)
-    if value.dim() != 1:
-        raise ValueError(f"{name}: expected shape [{length_name}], got {list(value.shape)}")
-    if length is not None and value.shape[0] != length:
-        raise ValueError(f"{name}: expected shape [{length_name}] = [{length}], got {list(value.shape)}")
+    shape = list(check_tensor(name, value, FLOATING).shape)
+    if len(shape) != 1:
+        raise ValueError(f"{name}: expected shape [{length_name}], got {shape}")
+    if length is not None and shape[0] != length:
+        raise ValueError(f"{name}: expected shape [{length_name}] = [{length}], got {shape}")
 
 
 def check_array(name: str, value: object, dtype: Dtypes, shape: tuple[int | None, ...], shape_name: str) -> None:
     """Raise unless ``value`` is a CPU tensor of the dtype, or one of them, and of the shape; None: of any length."""
-    check_tensor(name, value, dtype if isinstance(dtype, tuple) else (dtype,))
-    assert isinstance(value, Tensor)
-    lengths_fit = all(want is None or have == want for have, want in zip(value.shape, shape, strict=False))
-    if value.dim() != len(shape) or not lengths_fit:
-        raise ValueError(f"{name}: expected shape {shape_name}, got {list(value.shape)}")
+    got = check_tensor(name, value, dtype if isinstance(dtype, tuple) else (dtype,)).shape
+    lengths_fit = all(want is None or have == want for have, want in zip(got, shape, strict=False))
+    if len(got) != len(shape) or not lengths_fit:
+        raise ValueError(f"{name}: expected shape {shape_name}, got {list(got)}")
 
 
 def check_number(name: str, value: object, kinds: tuple[type, ...]) -> None:

@@ -12,7 +12,7 @@ def connected_components(edge_index: Tensor, num_nodes: int) -> Tensor:
 
     Args:
         edge_index: ``[2, E]`` int64, undirected edges. Self loops and repeated edges have no effect.
-        num_nodes: number of nodes N, below 2^31.
+        num_nodes: number of nodes N, below 2^31; each takes 12 bytes of memory.
 
     Returns:
         ``[N]`` int64 labels 0, 1, 2, ... in the order of their first node.

@@ -16,8 +16,6 @@ SIDE = 8
 CHANNELS = 5
 #: A distance of one truncation in the sums of a voxel.
 UNIT = 2**14
-#: With this weight, a voxel ignores further images. So the sums fit 32 bits.
-MAX_WEIGHT = 2**16
 #: The weight of a mask that is fully trusted. Weights are whole numbers, so that all sums are exact.
 WEIGHT_UNIT = 256
 

@@ -46,19 +46,16 @@ class Tables:
     def __init__(self, folder: Path, names: list[str], record: dict[str, Any], written: dict[str, list[str]]) -> None:
         self.folder, self._record, self._written = folder, record, written
         self.reports: dict[str, SceneReport] = {}
+        self.others: dict[str, SceneReport] = {}  #: of results that earlier batches of other scenes wrote here
         self.failures: dict[str, str] = {}
         self._names = names
         self._next = 0.0
 
-    def earlier_memory(self) -> dict[str, float]:
-        """Reads the peak memory by scene from the summary of an earlier run; the results do not contain it."""
-        try:
-            rows = list(csv.DictReader(io.StringIO(read_text(self.folder / SUMMARY, "a table"))))
-            return {
-                row["scene"].removeprefix("'"): float(row["peak_memory_mb"]) for row in rows if row["peak_memory_mb"]
-            }
-        except (OSError, ValueError, KeyError, TypeError, csv.Error):
-            return {}  # there is no summary, or somebody has edited it
+    def earlier(self) -> dict[str, dict[str, str]]:
+        """Reads the summary of earlier batches: a row by scene. Results hold neither memory nor warnings."""
+        file = self.folder / SUMMARY
+        rows = csv.DictReader(io.StringIO(read_text(file, "a table"))) if has_file(file) else ()
+        return {row["scene"].removeprefix("'"): row for row in rows}
 
     def save(self, *, now: bool = False) -> None:
         """Writes both tables if `now` is True or if it is time. A failed write, as on a full disk, raises no error.
@@ -95,7 +92,7 @@ class Tables:
                 (self.folder / name).unlink(missing_ok=True)
 
     def _summary(self) -> str:
-        reports = [(name, self.reports[name]) for name in self._names if name in self.reports]
+        reports = [*self.others.items(), *((name, self.reports[name]) for name in self._names if name in self.reports)]
         parts = list(dict.fromkeys(part for _, report in reports for part in report.seconds))
         header = (*_COLUMNS[:5], *(f"seconds: {part}" for part in parts), *_COLUMNS[5:])
         return csv_text([header, *(_row(name, report, parts) for name, report in reports)])
@@ -271,12 +268,20 @@ def _text(record: dict[str, Any]) -> str:
 def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[str, Path], tuple[str, ...]]:
     """The recordings without a result, and the names of those that have one; a damaged or other result is a failure."""
     skipped = [name for name in found if not job.overwrite and or_unreadable(is_done, job.out / name)]
-    memory = tables.earlier_memory()
+    earlier = tables.earlier()
+
+    def report(name: str, told: tuple[str, ...] = ()) -> SceneReport:
+        row = earlier.get(name, {"peak_memory_mb": "", "warnings": ""})
+        told = (*filter(None, row["warnings"].split("; ")), *told)
+        return report_of(job.out / name, float(row["peak_memory_mb"] or 0) or None, tuple(dict.fromkeys(told)))
+
     for name in skipped:
         try:
-            check_origin(job, name, found[name])
-            tables.reports[name] = report_of(job.out / name, memory.get(name))
+            tables.reports[name] = report(name, check_origin(job, name, found[name]))
         except (OSError, ValueError, TypeError) as error:
             tables.failures[name] = in_one_line(error)
+    for name in sorted(earlier.keys() & {one.name for one in job.out.iterdir()} - found.keys()):
+        with suppress(OSError, ValueError, TypeError):  # its result is damaged
+            tables.others[name] = report(name)
     todo = {name: path for name, path in found.items() if name not in skipped}
     return todo, tuple(name for name in skipped if name in tables.reports)

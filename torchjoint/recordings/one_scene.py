@@ -94,8 +94,8 @@ def is_done(out: Path) -> bool:
     return has_file(out / "run.yaml")
 
 
-def check_origin(job: Job, name: str, path: Path) -> None:
-    """Compares where a result came from with what the batch would make, and checks that it is whole."""
+def check_origin(job: Job, name: str, path: Path) -> tuple[str, ...]:
+    """Compares where a result came from with what the batch would make, and checks that it is whole; what is told."""
     out = job.out / name
     origin = read_origin(out)
     files = fingerprint(path, own_files(out)) if is_there(path) and origin.fingerprint else origin.fingerprint
@@ -108,7 +108,7 @@ def check_origin(job: Job, name: str, path: Path) -> None:
     if other:
         told = f"{out}: expected the result of {asked.scene}, got that of {origin.scene}"
         raise ValueError(f"{told}; other {', '.join(other)}; choose another folder, or --overwrite")
-    check_sizes(out)
+    return check_sizes(out)
 
 
 def report_of(out: Path, memory: float | None = None, told: tuple[str, ...] = ()) -> SceneReport:

@@ -93,12 +93,18 @@ def open_manifest(folder: Path) -> Check:
     return check
 
 
-def check_sizes(folder: Path) -> None:
-    """Checks that the files of a result are there and have their sizes, without reading them: results may be many."""
+def check_sizes(folder: Path) -> tuple[str, ...]:
+    """Checks that the files of a result are there and have their sizes, without reading them: results may be many.
+
+    Returns:
+        what is told of files that are missing and that nothing reads, at most three.
+    """
     record = read_yaml(folder / RUN, dict, "a record of a run")
     for name, (size, _) in _read(folder / FILE, record).items():
         if present(folder / name, "a whole result").stat().st_size != size:
             raise ValueError(f"{folder / name}: expected the {size} bytes that the run wrote; delete the result")
+    shown = _read(folder / FILE, record, "shown")
+    return tuple(f"{name} is missing in the result" for name in shown if not has_file(folder / name))[:3]
 
 
 def listed_files(folder: Path) -> dict[str, list[Any]]:
@@ -125,10 +131,10 @@ def _names(folder: Path, kinds: Sequence[str] = READ) -> list[str]:
     return sorted(file.relative_to(folder).as_posix() for one in kinds for file in folder.glob(one))
 
 
-def _read(file: Path, record: Mapping[str, Any]) -> dict[str, list[Any]]:
+def _read(file: Path, record: Mapping[str, Any], kind: str = "files") -> dict[str, list[Any]]:
     with damage_is(f"{file}: not the list of a result's files"):
         content = read_json(file, "a list of files")
-        run, files = content["run"], dict(content["files"])
+        run, files = content["run"], dict({"shown": {}, **content}[kind])
     if run != _checksum(record):
         raise ValueError(f"{file.parent / RUN}: expected the record of this result, got another{_WAY_OUT}")
     return files

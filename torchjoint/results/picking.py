@@ -8,6 +8,7 @@ import torch
 from scipy.cluster.hierarchy import DisjointSet
 from torch import Tensor
 
+from torchjoint.runtime.groups import check_dense
 from torchjoint.scene import Hierarchy, Segmentation
 
 #: Pixels as (frame, column, row).
@@ -110,8 +111,7 @@ def _superpoint_of_pixel(result: Segmentation, pixel: tuple[int, int, int], coun
 
 
 def _indices(cloud: Tensor, points: Tensor, name: str) -> Tensor:
-    if not isinstance(points, Tensor):
-        raise TypeError(f"{name}: expected a tensor, got {type(points).__name__}")
+    check_dense(points, name)
     count = len(cloud)
     if points.is_floating_point():
         if points.dim() != 2 or points.shape[1] != 3 or not bool(points.isfinite().all()):

@@ -11,6 +11,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.groups import check_dense
+
 #: What becomes of points that are NaN or infinite.
 Invalid = Literal["refuse", "drop", "keep"]
 Beams = Literal["keep", "drop many", "drop any"]
@@ -34,20 +36,20 @@ TALLEST = 300
 
 def as_points(points: Tensor, name: str = "points") -> Tensor:
     """Checks a cloud: [N, 3], N >= 1, finite; returns it as float32, or as float64 if float32 would round it."""
-    if isinstance(points, Tensor) and points.ndim == 2 and _has_numbers(points) and not _is_finite(points):
+    check_dense(points, name)
+    if points.dtype.is_floating_point and points.ndim == 2 and not _is_finite(points):
         bad = int((~points.isfinite()).any(1).sum())
         others = f"{name}[{name}.isfinite().all(1)]"
         raise ValueError(f"{name}: {bad} of {len(points)} points are NaN or infinite; {others} are the others")
-    is_half = isinstance(points, Tensor) and points.dtype in (torch.float16, torch.bfloat16)
-    if is_half and points.numel() and _has_numbers(points):
+    if points.dtype in (torch.float16, torch.bfloat16) and points.numel():
         tell_half(float(points.abs().max()), points.dtype, name)
-    points = as_float(points, name, points.dtype if is_double(points) else torch.float32)
+    points = as_float(points, name, points.dtype if points.dtype == torch.float64 else torch.float32)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"{name}: expected shape [N, 3], got {list(points.shape)}")
     if points.shape[0] == 0:
         raise ValueError(f"{name}: expected at least one point, got an empty cloud")
     check_largest(points, name)
-    if is_double(points):
+    if points.dtype == torch.float64:
         rounded = points.float()
         return rounded if torch.equal(rounded.double(), points) else points
     return points
@@ -113,11 +115,6 @@ def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "kee
     return valid
 
 
-def is_double(value: Tensor) -> bool:
-    """Whether the value is a float64 tensor."""
-    return isinstance(value, Tensor) and value.dtype == torch.float64
-
-
 def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
     """Checks a rigid transform [4, 4]; returns it as float64."""
     pose = as_float(pose, name, torch.float64).clone()  # callers may write the next one into theirs
@@ -135,10 +132,9 @@ def as_pose(pose: Tensor, name: str = "world_to_camera") -> Tensor:
 
 def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Tensor:
     """Checks labels of shape `size`: integers >= -1, or bool (True -> 0, False -> -1 = none); returns them as int64."""
-    if not isinstance(labels, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(labels).__name__}")
-    if labels.dtype.is_floating_point or labels.dtype.is_complex or labels.layout != torch.strided:
-        raise TypeError(f"{name}: expected an integer dtype, got {labels.dtype}, {labels.layout}")
+    check_dense(labels, name)
+    if labels.dtype.is_floating_point or labels.dtype.is_complex:
+        raise TypeError(f"{name}: expected an integer dtype, got {labels.dtype}")
     check_shape(labels, size, name)
     if labels.dtype == torch.bool:
         return torch.where(labels, 0, -1)
@@ -166,8 +162,7 @@ def as_tensor(value: npt.NDArray[Any], name: str) -> Tensor:
 
 def as_image(image: Tensor, name: str) -> Tensor:
     """Checks an image: [3, H, W], or grey [1, H, W] or [H, W]; returns it as [3, H, W] float32 RGB in [0, 1]."""
-    if not isinstance(image, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(image).__name__}")
+    check_dense(image, name)
     image = image[None] if image.ndim == 2 else image
     if image.ndim != 3 or image.shape[0] not in (1, 3):
         raise ValueError(f"{name}: expected shape [3, H, W] (or grey: [1, H, W], [H, W]), got {list(image.shape)}")
@@ -178,10 +173,9 @@ def as_image(image: Tensor, name: str) -> Tensor:
 
 def as_unit_range(value: Tensor, name: str) -> Tensor:
     """Checks colours in [0, 1], or uint8; returns them as float32 in [0, 1], uint8 colours divided by 255."""
-    if isinstance(value, Tensor) and value.dtype == torch.uint8:
-        value = value.to(torch.float32).div_(255)
-        if value.device.type == "cpu":
-            return value
+    check_dense(value, name)
+    if value.dtype == torch.uint8:
+        return value.to(torch.float32).div_(255)
     value = as_float(value, name, torch.float32)
     low, high = (value.min().item(), value.max().item()) if value.numel() else (0.0, 0.0)
     if low < -1e-4 or high > 1 + 1e-4:
@@ -202,7 +196,8 @@ def as_direction(value: Tensor, name: str) -> Tensor:
 
 def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
     """Checks a camera matrix [3, 3] of any real numbers, in pixels; returns it as float64. Skew would be ignored."""
-    if isinstance(intrinsics, Tensor) and not (intrinsics.is_floating_point() or intrinsics.is_complex()):
+    check_dense(intrinsics, name)
+    if not (intrinsics.is_floating_point() or intrinsics.is_complex()):
         intrinsics = intrinsics.double()
     intrinsics = as_float(intrinsics, name, torch.float64).clone()
     check_shape(intrinsics, (3, 3), name)
@@ -216,23 +211,13 @@ def as_intrinsics(intrinsics: Tensor, name: str) -> Tensor:
 
 def as_float(value: Tensor, name: str, dtype: torch.dtype) -> Tensor:
     """Checks a finite floating CPU tensor; returns it as `dtype`. To become float64, it has 32 bits or more."""
-    if not isinstance(value, Tensor):
-        raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
-    if value.device.type != "cpu":
-        raise ValueError(f"{name}: expected a CPU tensor, got one on {value.device}")
+    check_dense(value, name)
     if not value.dtype.is_floating_point or value.dtype.itemsize * 2 < dtype.itemsize:  # 16 bits round poses by 0.05 %
         raise TypeError(f"{name}: expected a floating dtype, got {value.dtype}; give float32 or float64")
-    if value.layout != torch.strided:
-        raise TypeError(f"{name}: expected a dense tensor, got one of {value.layout}")
     if not _is_finite(value):
         count = int((~torch.isfinite(value)).sum())
         raise ValueError(f"{name}: expected finite values, got {count} NaN or infinite of {value.numel()}")
     return value.detach().resolve_neg().to(dtype)
-
-
-def _has_numbers(value: Tensor) -> bool:
-    """Whether a tensor has real numbers in memory, which can be looked at."""
-    return value.device.type == "cpu" and value.layout == torch.strided and value.dtype.is_floating_point
 
 
 def _is_finite(value: Tensor) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchjoint.runtime.groups import check_dense
 from torchjoint.scene.checks import as_float, as_points, as_unit_range, check_shape
 
 #: Normals whose length differs from 1 by less than this are kept as they are.
@@ -90,10 +91,9 @@ def full_brightness(largest: float, most: int | None = None) -> float:
 
 def _in_unit_range(colors: Tensor) -> Tensor:
     """Colours of 0 to 255, or of wider integers, divided by full brightness; others, and uint8, as they are."""
-    if not isinstance(colors, Tensor) or colors.dtype in (torch.uint8, torch.bool) or not colors.numel():
+    check_dense(colors, "colors")
+    if colors.dtype in (torch.uint8, torch.bool) or not colors.numel():
         return colors
-    if colors.layout != torch.strided or colors.device.type != "cpu":
-        return colors  # as_float tells
     if colors.is_floating_point():
         low, high = map(float, colors.aminmax())
         if low >= 0 and high <= 255 == full_brightness(high):

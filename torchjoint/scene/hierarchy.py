@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchjoint import ops
-from torchjoint.runtime.groups import best_of_groups, counted_pairs, numbers_by_first_place, with_none
+from torchjoint.runtime.groups import best_of_groups, check_dense, counted_pairs, numbers_by_first_place, with_none
 from torchjoint.runtime.threads import one_thread_per_operation
 
 #: Log odds that a segment is an object: an offset; a factor of the mean IoU with the members' segments; and a factor of
@@ -118,9 +118,9 @@ class Hierarchy:
     def __post_init__(self) -> None:
         shapes = {"superpoint": (torch.int64, 1), "merges": (torch.int64, 2), "heights": (torch.float64, 1)}
         for name, (dtype, dimensions) in shapes.items():
-            tensor: object = getattr(self, name)
-            if not isinstance(tensor, Tensor) or tensor.dtype != dtype or tensor.dim() != dimensions:
-                got = f"{tensor.dtype} {list(tensor.shape)}" if isinstance(tensor, Tensor) else type(tensor).__name__
+            tensor = check_dense(getattr(self, name), name)
+            if tensor.dtype != dtype or tensor.dim() != dimensions:
+                got = f"{tensor.dtype} {list(tensor.shape)}"
                 raise TypeError(f"{name}: expected a {dtype} tensor of {dimensions} dimensions, got {got}")
         known = self.superpoint[self.superpoint != -1]
         if not len(known) or int(known[0]) != 0 or int(known.min()) < 0:

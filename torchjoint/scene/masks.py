@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime import bounds
-from torchjoint.runtime.groups import best_of_groups, first_places
+from torchjoint.runtime.groups import best_of_groups, check_dense, first_places
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_float, as_labels, check_shape
 
@@ -76,8 +76,7 @@ class Masks:
         Raises:
             ValueError, TypeError: naming the argument, what was expected and what came.
         """
-        if not isinstance(stack, Tensor):
-            raise TypeError(f"{name}: expected a torch.Tensor, got {type(stack).__name__}")
+        check_dense(stack, name)
         if stack.dtype != torch.bool:
             raise TypeError(f"{name}: expected dtype bool for a stack [M, H, W], got {stack.dtype}; use `stack > 0.5`?")
         if stack.ndim != 3:
@@ -131,10 +130,10 @@ class Masks:
         """
         if none not in (-1, 0):
             raise ValueError(f"none: expected -1 or 0, got {none}")
-        size = tuple(labels.shape) if isinstance(labels, Tensor) else ()
-        labels = as_labels(labels, size, name)
+        check_dense(labels, name)
+        labels = as_labels(labels, tuple(labels.shape), name)
         if labels.ndim != 2:
-            raise ValueError(f"{name}: expected shape [H, W], got {list(size)}")
+            raise ValueError(f"{name}: expected shape [H, W], got {list(labels.shape)}")
         values, number = torch.unique(labels, return_inverse=True)
         covered = values > none
         mask = (covered.cumsum(0) - 1).tolist()
@@ -267,12 +266,11 @@ def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None
         return masks.resized(size)
     if not isinstance(masks, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor or Masks, got {type(masks).__name__}; see torchjoint.masks")
+    check_dense(masks, name)
     if masks.ndim == 3 and masks.shape[:2] == size and masks.shape[1:] != size:
         raise ValueError(f"{name}: expected [M, H, W], got [H, W, M]? {list(masks.shape)} in an image of {list(size)}")
-    if masks.dtype == torch.bool:
+    if masks.dtype == torch.bool or masks.ndim == 3:
         return Masks.from_stack(masks[None] if masks.ndim == 2 else masks, scores, name).resized(size)
-    if masks.ndim == 3:
-        raise TypeError(f"{name}: expected dtype bool for a stack [M, H, W], got {masks.dtype}; use `stack > 0.5`?")
     masks = as_labels(masks, tuple(masks.shape), name)
     if masks.numel() and int(masks.min()) == 0:
         told = f"{name}: 0 counts as a mask, and no pixel is -1 (none)"

@@ -7,7 +7,8 @@ from statistics import fmean
 import torch
 from torch import Tensor
 
-from torchjoint.metrics.overlaps import overlap_tables, renumber_by_value
+from torchjoint.metrics.overlaps import overlap_tables
+from torchjoint.runtime.groups import renumber_by_value
 from torchjoint.scene import Truth
 from torchjoint_lab.evaluation.partial_truth import knows_points
 

@@ -154,6 +154,14 @@ def test_an_obj_of_an_old_mac(tmp_path):
     assert read_cloud_file(tmp_path / "a.obj").faces.tolist() == [[0, 1, 2]]
 
 
+def test_more_numbers_than_a_colour_has(tmp_path):
+    """Those of `x y z w r g b` were the colours w r g."""
+    (tmp_path / "a.obj").write_text("".join(f"v {at} 0 0 1 .2 .4 .6\n" for at in range(3)))
+    with pytest.warns(UserWarning, match=r"a\.obj: 7 numbers in a row: colours are read of x y z r g b only"):
+        cloud = read_cloud_file(tmp_path / "a.obj")
+    assert (cloud.points[:, 0].tolist(), cloud.colors) == ([0, 1, 2], None)
+
+
 @pytest.mark.parametrize("face", ["0 1 2", "1 2 0", "1/1 0/1 2/1"])
 def test_faces_that_count_from_0(tmp_path, face):
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1 2 3\nf {face}\n")

@@ -190,6 +190,21 @@ class TestIntrinsics:
         save(folder, read(folder) | {"k1": 0, "p2": 0, "distortion_params": [-0.2, 0, 0, 0, 0, 0.01]})
         assert torch.equal(tj.load_scene(folder).frames[0].image, frame.image)
 
+    @pytest.mark.parametrize(
+        ("of_all", "of_frame"),
+        [
+            ({"distortion_params": [-0.2, 0, 0, 0, 0, 0]}, {"k1": 0}),
+            ({"k1": -0.2}, {"k1": 0, "distortion_params": [0] * 6}),
+        ],
+    )
+    def test_the_lens_of_a_frame_goes_before_that_of_all(self, folder, of_all, of_frame):
+        plain = tj.load_scene(folder).frames[1].image
+        values = read(folder)
+        for frame in values["frames"]:
+            frame |= of_frame
+        save(folder, values | of_all)
+        assert torch.equal(tj.load_scene(folder).frames[1].image, plain)
+
 
 @pytest.mark.filterwarnings("ignore:depth. 5 of 6 frames have no depth image")
 class TestDepth:
@@ -323,7 +338,11 @@ class TestPaths:
         ({"k4": 0.1}, {}, r"frames\[0\]: k4: expected 0 for a perspective camera, got 0\.1"),
         ({"k5": 0.1}, {}, r"frames\[0\]: k5: expected 0 for a perspective camera, got 0\.1"),
         ({"p1": 0.1, "is_fisheye": True}, {}, r"frames\[0\]: p1: expected 0 for a fisheye camera, got 0\.1"),
-        ({"distortion_params": [0] * 6}, {"k1": 0.1}, r"k1: expected 0\.0 as in distortion_params, or 0, got another"),
+        (
+            {"distortion_params": [0] * 6, "k1": 0.1},
+            {},
+            r"k1: expected 0\.0 as in distortion_params, or 0, got another",
+        ),
         ({"K1": 0.1, "k1": None}, {}, r"frames\[0\]: expected the key 'k1', got 'K1'"),
         ({}, {"Depth_File_Path": "a.png"}, r"frames\[0\]: expected the key 'depth_file_path', got 'Depth_File_Path'"),
         ({"frames": {}}, {}, r"transforms\.json: frames: expected a list, got dict"),

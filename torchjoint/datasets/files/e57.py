@@ -145,8 +145,7 @@ def _pose(header: Any) -> tuple[Array, Array]:
 
 def _limit(header: Any, name: str, end: str) -> float:
     """A limit of a colour; 0 if the file has none."""
-    try:
-        value = float(header.node["colorLimits"][f"{name}{end}"].value())
-    except Exception:  # the library's own error: there is no such node
+    if not header.node.isDefined(f"colorLimits/{name}{end}"):
         return 0.0
+    value = float(header.node["colorLimits"][f"{name}{end}"].value())
     return value if math.isfinite(value) else 0.0

@@ -51,7 +51,7 @@ def read_mesh_file(path: Path) -> CloudFile:
     """
     with needed_for(f"{path.suffix} files", "trimesh", "torchjoint[mesh]"):
         import trimesh
-    data, suffix, parts = read_file(path, "a mesh"), path.suffix.lower(), MeshParts(path)
+    data, suffix, name, parts = read_file(path, "a mesh"), path.suffix.lower(), str(path), MeshParts(path)
     if suffix in (".obj", ".off"):
         data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if suffix == ".obj":
@@ -64,10 +64,10 @@ def read_mesh_file(path: Path) -> CloudFile:
     bound_textures()
     try:
         if suffix in (".gltf", ".glb"):
-            check_gltf(data, parts, str(path))
+            check_gltf(data, parts, name)
         if suffix == ".obj":
-            check_obj(data, str(path))
-        own = _rows_of_obj(data) if suffix == ".obj" else _read_off(data, str(path)) if suffix == ".off" else None
+            check_obj(data, name)
+        own = _rows_of_obj(data, name) if suffix == ".obj" else _read_off(data, name) if suffix == ".off" else None
         if own is not None and (suffix == ".off" or not re.search(rb"^[ \t]*f\s", data, re.MULTILINE)):
             mesh = own
         else:
@@ -78,7 +78,7 @@ def read_mesh_file(path: Path) -> CloudFile:
                 if suffix == ".stl":
                     geometry.merge_vertices()
                 _color_twice(geometry)
-            mesh = _joined(loaded.dump(), str(path))
+            mesh = _joined(loaded.dump(), name)
             if own is not None:
                 mesh = _in_rows(mesh, own)._replace(faces=_faces_of_obj(data, len(own.points)))
     except MemoryError:
@@ -148,11 +148,13 @@ def _of_material(visual: Any, count: int) -> Array:
     return (colors * curved).round().astype(np.uint8)
 
 
-def _rows_of_obj(data: bytes) -> CloudFile:
-    """The `v` lines of an .obj: x y z, and r g b of some programs."""
-    rows = [line.split()[1:7] for line in data.splitlines() if line.startswith(b"v ")]
+def _rows_of_obj(data: bytes, name: str) -> CloudFile:
+    """The `v` lines of an .obj: x y z, and r g b of some programs. Seven numbers are x y z w r g b or x y z r g b a."""
+    rows = [line.split()[1:] for line in data.splitlines() if line.startswith(b"v ")]
     points = np.array([row[:3] for row in rows], np.float64).reshape(-1, 3)
     colors = np.array([row[3:] if len(row) == 6 else [np.nan] * 3 for row in rows], np.float64).reshape(-1, 3)
+    if most := max((len(row) for row in rows if len(row) > 6), default=0):
+        warnings.warn(f"{name}: {most} numbers in a row: colours are read of x y z r g b only", stacklevel=5)
     return CloudFile(torch.from_numpy(points), unit_colors(colors) if any(len(row) == 6 for row in rows) else None)
 
 

@@ -106,8 +106,13 @@ def read_depth(path: Path, unit: float = 0.001) -> Tensor:
 
 
 def read_label_image(path: Path) -> Tensor:
-    """Reads a label image of 2 to 16 bits; returns [H, W] int64."""
-    return labels_of(read_raster(path), str(path))
+    """Reads a label image of 2 to 16 bits; returns [H, W] int64. Warns if its largest number may mean none."""
+    image = read_raster(path)
+    labels, most = labels_of(image, str(path)), 255 if image.mode in ("L", "P") else 65535
+    if int(labels.max()) == most and 0 < int(labels.where(labels < most, 0).max()) < most - 1:
+        told = f"{path.parent}: {most} is a label in images of labels; if it means none, as in VOC, make it 0"
+        warnings.warn(told, stacklevel=3)
+    return labels
 
 
 def read_matrix(path: Path, shape: tuple[int, int]) -> Tensor:

@@ -62,11 +62,11 @@ def load(path: Path, options: Options) -> Scene:
 
 def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     """Returns the frames of transforms.json, sorted by file name; each frame is read on access."""
-    for_all = {key: value for key, value in record.values.items() if key != "frames"}
+    for_all = {key: value for key, value in _with_lens(record).values.items() if key != "frames"}
     bounds.check(len(for_all) * len(record.records("frames")), bounds.PAIRS, "values of all frames", str(file))
     shared = {key: value for key, value in for_all.items() if key not in _FOCAL}  # with a frame of its own focal length
     frames = [
-        Record((for_all if _FOCAL.isdisjoint(frame.values) else shared) | dict(frame.values), frame.name)
+        Record((for_all if _FOCAL.isdisjoint(frame.values) else shared) | dict(_with_lens(frame).values), frame.name)
         for frame in record.records("frames")
     ]
     shots = sorted((_shot(file, frame) for frame in frames), key=lambda pair: pair[0])
@@ -114,13 +114,7 @@ def _read_depth(path: Path, unit: float | None) -> Tensor:
 
 def read_camera(frame: Record, color: Path) -> Camera:
     """Returns the camera of a frame, whose size is that of the image `color` if the frame does not give it."""
-    if "distortion_params" in frame:
-        given = frame.numbers("distortion_params", 6).tolist()
-        named = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=True))
-        for key, value in named.items():
-            if frame.number(key, value) not in (value, 0):
-                raise ValueError(f"{frame.name}: {key}: expected {value} as in distortion_params, or 0, got another")
-        frame = Record({**frame.values, **named}, frame.name)
+    frame = _with_lens(frame)
     model = frame.text("camera_model", "OPENCV")
     if model not in _MODELS:
         told = f"{frame.name}: camera_model: expected one of {', '.join(_MODELS)}, got {model!r}"
@@ -138,6 +132,16 @@ def read_camera(frame: Record, color: Path) -> Camera:
     matrix = pinhole_matrix(fl_x, fl_y, frame.number("cx", size[1] / 2), frame.number("cy", size[0] / 2), center=0.5)
     keys = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
     return Camera(matrix, size, tuple(frame.number(key, 0.0) for key in keys), frame.name, fisheye)
+
+
+def _with_lens(record: Record) -> Record:
+    """A record with the numbers of its `distortion_params` by their names."""
+    given = record.numbers("distortion_params", 6).tolist() if "distortion_params" in record else []
+    named = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), given, strict=False))
+    for key, value in named.items():
+        if record.number(key, value) not in (value, 0):
+            raise ValueError(f"{record.name}: {key}: expected {value} as in distortion_params, or 0, got another")
+    return Record({**record.values, **named, "distortion_params": None}, record.name)
 
 
 def _focal_lengths(frame: Record, size: tuple[int, int]) -> tuple[float, float]:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import pinhole, resize_depth, world_to_camera
-from torchjoint.datasets.files.readers import read_depth, read_label_image
+from torchjoint.datasets.files.readers import labels_of, read_depth, read_raster
 from torchjoint.datasets.files.text import Record, read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, sorted_images, tell_lost
 from torchjoint.runtime.foreign_files import has_file, has_folder
@@ -56,5 +56,6 @@ def _read_depth(folder: Path, stem: str) -> Tensor:
     depth, confidence = read_depth(folder / "depth" / f"{stem}.png"), folder / "confidence" / f"{stem}.png"
     if not has_file(confidence):
         return depth
-    sure = resize_depth(read_label_image(confidence), (depth.shape[0], depth.shape[1]), str(confidence)) > 0
+    sure = labels_of(read_raster(confidence), str(confidence))
+    sure = resize_depth(sure, (depth.shape[0], depth.shape[1]), str(confidence)) > 0
     return torch.where(sure, depth, 0.0)
