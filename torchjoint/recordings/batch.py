@@ -55,7 +55,10 @@ class Tables:
         """Reads the summary of earlier batches: a row by scene. Results hold neither memory nor warnings."""
         file = self.folder / SUMMARY
         rows = csv.DictReader(io.StringIO(read_text(file, "a table"))) if has_file(file) else ()
-        return {row["scene"].removeprefix("'"): row for row in rows}
+        try:
+            return {row["scene"].removeprefix("'"): row for row in rows}
+        except csv.Error:  # a cell of more than 131,072 characters
+            return {}
 
     def save(self, *, now: bool = False) -> None:
         """Writes both tables if `now` is True or if it is time. A failed write, as on a full disk, raises no error.
@@ -271,7 +274,7 @@ def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[
     earlier = tables.earlier()
 
     def report(name: str, told: tuple[str, ...] = ()) -> SceneReport:
-        row = earlier.get(name, {"peak_memory_mb": "", "warnings": ""})
+        row = {"peak_memory_mb": "", "warnings": "", **earlier.get(name, {})}
         told = (*filter(None, row["warnings"].split("; ")), *told)
         return report_of(job.out / name, float(row["peak_memory_mb"] or 0) or None, tuple(dict.fromkeys(told)))
 
