@@ -165,7 +165,7 @@ def as_image(image: Tensor, name: str) -> Tensor:
     check_dense(image, name)
     image = image[None] if image.ndim == 2 else image
     if image.ndim != 3 or image.shape[0] not in (1, 3):
-        raise ValueError(f"{name}: expected shape [3, H, W] (or grey: [1, H, W], [H, W]), got {list(image.shape)}")
+        raise ValueError(f"{name}: expected shape [3, H, W] (NumPy: [H, W, 3]; grey: [H, W]), got {list(image.shape)}")
     if image.numel() == 0:
         raise ValueError(f"{name}: expected at least one pixel, got {list(image.shape)}")
     return as_unit_range(image, name).expand(3, -1, -1)
