@@ -115,6 +115,17 @@ def test_only_small_regions_in_masks_join_their_neighbour() -> None:
     assert joined.tolist() == [[0], [1]]
 
 
+def test_small_things_without_masks_stay() -> None:
+    # Regions: a thing in its mask; a crumb of it; a small thing that no view shows in a mask; a crumb of that.
+    size = torch.tensor([100, 20, 20, 10])
+    in_mask = torch.tensor([[0, 1], [0, 0], [100, 15]])
+    in_frame = torch.tensor([[0, 1, 2, 3], [0, 0, 0, 0], [100, 20, 20, 10]])
+    bare = torch.tensor([[1, 2, 3], [5, 20, 10]])
+    linkage = MaskLinkage(MaskCounts(in_mask, in_frame, torch.full((1,), 256), torch.tensor([0]), bare), size)
+    assert linkage.confirmed(torch.arange(4)).tolist() == [True, False, False, False]
+    assert linkage.stays_small(torch.arange(4)).tolist() == [True, False, True, False]
+
+
 def test_strays_in_masks_are_no_noise() -> None:
     # Regions: a floor, and a thing, of whose 100 points the masks of two frames miss 10. A third frame has no masks.
     in_frame = torch.tensor([[0, 0, 0, 1, 1], [0, 1, 2, 0, 1], [500, 500, 500, 100, 100]])

@@ -126,7 +126,7 @@ def merge_superpoints(
     regions = _merge_in_steps(regions, judge, [steps[-1]], linkage.merges_of_small, merges)
     regions = _merge_in_steps(regions, judge, between, replace(linkage, keeps_outlines=True).merges, merges)
     graph = regions.graph
-    size, stays = graph.statistics.size, linkage.confirmed(regions.of_superpoint)
+    size, stays = graph.statistics.size, linkage.stays_small(regions.of_superpoint)
     joined = merges_by_contact(graph.pairs, graph.boundaries.num_edges, size, stays)
     merges.add(regions.of_superpoint, joined, torch.full((joined.shape[1],), default, dtype=torch.float64), default)
     _merge_in_steps(regions.merged(joined), judge, above, linkage.merges, merges)

@@ -157,7 +157,7 @@ def build_consensus(copies: Sequence[SuperpointGraph], model: BoundaryModel) -> 
         if level == default:
             votes = Votes(torch.stack(of_members), size)
             regions = superpoints.grouped(of_superpoint)
-            stays = None if linkage is None else linkage.confirmed(of_superpoint)
+            stays = None if linkage is None else linkage.stays_small(of_superpoint)
             least = MIN_SIZE if superpoints.images is None or linkage is not None else MIN_SIZE_IN_IMAGES
             count = regions.boundaries.num_edges
             joined = merges_by_contact(regions.pairs, count, regions.statistics.size, stays, least)

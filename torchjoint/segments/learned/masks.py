@@ -15,7 +15,7 @@ from torchjoint.runtime.groups import best_of_groups, find, first_places
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Hierarchy
 from torchjoint.segments.learned.region_statistics import sum_by
-from torchjoint.segments.learned.small_regions import MIN_SIZE
+from torchjoint.segments.learned.small_regions import MIN_SIZE, MIN_SIZE_IN_IMAGES
 from torchjoint.segments.learned.superpoint_graph import MaskCounts, masks_of_superpoints, pairs_in_one_group
 from torchjoint.views.observations import Observation
 
@@ -128,6 +128,15 @@ class MaskLinkage:
         best = torch.zeros(len(size), dtype=torch.float64)
         best.scatter_reduce_(0, in_mask[0], overlaps(self.masks, in_mask, in_frame), "amax")
         return best >= CONFIRMED
+
+    def stays_small(self, of_superpoint: Tensor) -> Tensor:
+        """Whether each region stays, however small, [R] bool: a mask confirms it, or it is no remain of masks.
+
+        It is none if most views show it without a mask, and it has as many points as small things in images.
+        """
+        size = sum_by(of_superpoint, self.size, int(of_superpoint.max()) + 1)
+        of_images = self.masks.unmasked(of_superpoint) & (size >= MIN_SIZE_IN_IMAGES)
+        return self.confirmed(of_superpoint) | of_images
 
     def _tables(self, of_superpoint: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         size = sum_by(of_superpoint, self.size, int(of_superpoint.max()) + 1)
