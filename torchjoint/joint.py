@@ -372,7 +372,8 @@ class JointSegmenter(nn.Module):
         """
         if config is not None and not isinstance(config, Config):
             raise TypeError(f"config: expected a Config, got {type(config).__name__}")
-        graph, evidence, config, method = self.graph, self.state, config or self.config, self._method_of(config)
+        config = config or self.config
+        graph, evidence, method = self.graph, self.state, self._method_of(config)
         if self._pose_check is not None:
             self._pose_check.warn()
         evidence.check_seen()
@@ -389,10 +390,8 @@ class JointSegmenter(nn.Module):
         found = replace(found, cloud_checksum=self._checksum)
         return found if self.granularity == 0.5 else found.at(self.granularity)
 
-    def _method_of(self, config: Config | None) -> Method:
+    def _method_of(self, config: Config) -> Method:
         """The method of step 6 with another config; raises ValueError if the evidence does not fit to it."""
-        if config is None:
-            return self.method
         method = self.method
         if config.point_segments.method != self.config.point_segments.method and self._own_method is None:
             assert self._given is not None  # there is a method

@@ -27,7 +27,7 @@ ERRORS = [
     ({"weight": None}, TypeError, "weight: expected a torch.Tensor, got NoneType"),
     ({"weight": VALUES.half()}, TypeError, "weight: expected dtype torch.float32 or torch.float64, got"),
     ({"weight": VALUES[:2]}, ValueError, "weight: expected shape [E] = [3], got [2]"),
-    ({"weight": VALUES[None]}, ValueError, "weight: expected shape [E], got [1, 3]"),
+    ({"weight": VALUES[None]}, ValueError, "weight: expected shape [E] = [3], got [1, 3]"),
     ({"weight": VALUES.to("meta")}, ValueError, "weight: expected a CPU tensor, got one on meta"),
     ({"weight": changed(VALUES, NAN, 1)}, ValueError, "weight: expected no NaN, got NaN at edge 1"),
     ({"num_nodes": -1}, ValueError, "num_nodes: expected a number >= 0, got -1"),

@@ -13,8 +13,9 @@ from torchjoint.config import Config
 from torchjoint.images.contours import smooth
 from torchjoint.labels.joint_ids import by_first_appearance, look_up
 from torchjoint.ops.internal import outvoted_markers
+from torchjoint.runtime.groups import best_of_groups, with_none
 from torchjoint.views.observations import Observation
-from torchjoint.views.visibility import Visible, nearest_in_cells
+from torchjoint.views.visibility import Visible
 
 #: Number of nearest markers that vote on a marker.
 VOTERS = 12
@@ -38,10 +39,8 @@ def nearest_labels(visible: Visible, point_labels: Tensor, size: tuple[int, int]
         [H, W] int32, -1 for pixels without a point.
     """
     pixel = visible.row * size[1] + visible.column
-    nearest = nearest_in_cells(pixel, visible.z)
-    labels = torch.full((size[0] * size[1],), -1, dtype=torch.int32)
-    labels[pixel[nearest]] = point_labels[nearest].to(torch.int32)
-    return labels.view(size)
+    nearest, _ = best_of_groups(pixel, torch.arange(len(pixel)), -visible.z, size[0] * size[1])
+    return with_none(point_labels.to(torch.int32))[nearest].view(size)
 
 
 def without_outvoted(markers: Tensor, colors: Tensor, color_weight: float) -> Tensor:

@@ -15,7 +15,7 @@ from torchjoint.results.render import label_colors
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.messages import needed_for
 from torchjoint.scene import Frame
-from torchjoint.scene.frame import camera_center
+from torchjoint.scene.frame import camera_center, to_8_bits
 
 #: Rerun's classes have 16 bits; 0 stands for no thing.
 CLASSES = 2**16 - 1
@@ -73,7 +73,7 @@ class RerunLog:
         self._recording.log(
             "world/camera", self._rerun.Pinhole(image_from_camera=lens.numpy(), resolution=[width, height])
         )
-        pixels = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
+        pixels = to_8_bits(frame.image).permute(1, 2, 0).contiguous().numpy()
         self._recording.log("world/camera/image", self._rerun.Image(pixels).compress(jpeg_quality=80))
 
     def show(self, live: LiveResult, number: int) -> None:

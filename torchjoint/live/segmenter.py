@@ -32,7 +32,7 @@ from torchjoint.runtime.store import OffloadFile, Packed, pack, read_values, wri
 from torchjoint.runtime.threads import on_cpu, one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud, Frame, Masks, Segmentation
 from torchjoint.scene.checks import as_float, as_pose, check_shape
-from torchjoint.scene.frame import camera_center
+from torchjoint.scene.frame import camera_center, to_8_bits
 from torchjoint.scene.hierarchy import check_granularity
 from torchjoint.segments.method import LEARNED
 from torchjoint.views.evidence import Evidence, observe_frame
@@ -69,14 +69,14 @@ class Keyframe(NamedTuple):
             far: metres, keeps depth up to here; None: keeps no depth.
         """
         # 8 bits are what steps 5-8 see of images.
-        image, boundary = pack(_bytes(bright.image)), pack(_bytes(segments.boundary))
+        image, boundary = pack(to_8_bits(bright.image)), pack(to_8_bits(segments.boundary))
         labels = pack(segments.labels.to(torch.int32))
         keyframe = cls(frame.name, frame.intrinsics, frame.world_to_camera, image, boundary, labels, segments.masks)
         if far is None or frame.depth is None:
             return keyframe
         known = (frame.depth > 0) & (frame.depth <= far)
         depth = torch.where(known, (frame.depth / DEPTH_STEP).round(), 0.0).to(torch.int32)
-        taken = None if bright is frame else pack(_bytes(frame.image))
+        taken = None if bright is frame else pack(to_8_bits(frame.image))
         return keyframe._replace(taken=taken, depth=pack(depth))
 
     def to_dict(self) -> dict[str, Any]:
@@ -126,10 +126,6 @@ class Keyframe(NamedTuple):
             return None
         frame = Frame(_image(self.taken or self.image), self.intrinsics, self.world_to_camera, name=self.name)
         return replace(frame, depth=self.depth.unpack().float() * DEPTH_STEP)
-
-
-def _bytes(values: Tensor) -> Tensor:
-    return values.mul(255).round().to(torch.uint8)
 
 
 def _image(packed: Packed) -> Tensor:

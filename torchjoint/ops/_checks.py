@@ -22,26 +22,20 @@ def check_tensor(name: str, value: object, dtypes: tuple[torch.dtype, ...]) -> T
     return tensor
 
 
+def check_array(name: str, value: object, dtype: Dtypes, shape: tuple[int | None, ...], shape_name: str) -> None:
+    """Raise unless ``value`` is a dense CPU tensor of the dtype, or one of them, and of the shape; None: any length."""
+    got = check_tensor(name, value, dtype if isinstance(dtype, tuple) else (dtype,)).shape
+    lengths_fit = all(want is None or have == want for have, want in zip(got, shape, strict=False))
+    if len(got) != len(shape) or not lengths_fit:  # only here: the text of a length would fix it in compiled code
+        letters = shape_name.strip("[]").split(", ")
+        known = [letter if want is None else str(want) for letter, want in zip(letters, shape, strict=True)]
+        expected = shape_name if known == letters else f"{shape_name} = [{', '.join(known)}]"
+        raise ValueError(f"{name}: expected shape {expected}, got {list(got)}")
+
+
 def check_edge_index(edge_index: object) -> None:
     """Raise unless ``edge_index`` is an int64 CPU tensor ``[2, E]``."""
     check_array("edge_index", edge_index, torch.int64, (2, None), "[2, E]")
-
-
-def check_vector(name: str, value: object, length: int | None, length_name: str) -> None:
-    """Raise unless ``value`` is a floating CPU tensor ``[length]``; None allows any length."""
-    shape = list(check_tensor(name, value, FLOATING).shape)
-    if len(shape) != 1:
-        raise ValueError(f"{name}: expected shape [{length_name}], got {shape}")
-    if length is not None and shape[0] != length:
-        raise ValueError(f"{name}: expected shape [{length_name}] = [{length}], got {shape}")
-
-
-def check_array(name: str, value: object, dtype: Dtypes, shape: tuple[int | None, ...], shape_name: str) -> None:
-    """Raise unless ``value`` is a CPU tensor of the dtype, or one of them, and of the shape; None: of any length."""
-    got = check_tensor(name, value, dtype if isinstance(dtype, tuple) else (dtype,)).shape
-    lengths_fit = all(want is None or have == want for have, want in zip(got, shape, strict=False))
-    if len(got) != len(shape) or not lengths_fit:
-        raise ValueError(f"{name}: expected shape {shape_name}, got {list(got)}")
 
 
 def check_number(name: str, value: object, kinds: tuple[type, ...]) -> None:
@@ -64,11 +58,10 @@ def check_num_nodes(num_nodes: int) -> None:
 
 def check_neighbors(neighbors: object, length: int | None) -> None:
     """Raise unless ``neighbors`` is an int32 or int64 CPU tensor ``[length, K]``; None allows any length."""
-    expected = "[N, K]" if length is None else f"[N, K] = [{length}, K]"
-    check_array("neighbors", neighbors, (torch.int32, torch.int64), (length, None), expected)
+    check_array("neighbors", neighbors, (torch.int32, torch.int64), (length, None), "[N, K]")
 
 
 def check_order(order: Tensor | None, length: int) -> None:
     """Raise unless ``order`` is an int32 CPU tensor ``[length]``, or None."""
     if order is not None:
-        check_array("order", order, torch.int32, (length,), f"[N] = [{length}]")
+        check_array("order", order, torch.int32, (length,), "[N]")

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.ops._call import call, of_one_size, register_fakes
-from torchjoint.ops._checks import check_array, check_edge_index, check_num_nodes, check_number, check_vector
+from torchjoint.ops._checks import FLOATING, check_array, check_edge_index, check_num_nodes, check_number
 
 
 def connected_components(edge_index: Tensor, num_nodes: int) -> Tensor:
@@ -64,7 +64,7 @@ def felzenszwalb(edge_index: Tensor, weight: Tensor, num_nodes: int, scale: floa
         tensor([0, 0, 0, 0])
     """
     check_edge_index(edge_index)
-    check_vector("weight", weight, edge_index.shape[1], "E")
+    check_array("weight", weight, FLOATING, (edge_index.shape[1],), "[E]")
     check_num_nodes(num_nodes)
     check_number("scale", scale, (int, float))
     check_number("min_size", min_size, (int,))
@@ -110,7 +110,7 @@ def merge_regions(
         tensor([0, 0, 1])
     """
     check_edge_index(edge_index)
-    check_array("cost", cost, torch.float32, (edge_index.shape[1],), f"[E] = [{edge_index.shape[1]}]")
+    check_array("cost", cost, torch.float32, (edge_index.shape[1],), "[E]")
     check_array("size", size, torch.int64, (None,), "[R]")
     check_number("threshold", threshold, (int, float))
     check_number("min_size", min_size, (int,))
@@ -150,12 +150,12 @@ def region_dendrogram(
                 [1, 2]]), tensor([0.0000, 0.5000], dtype=torch.float64))
     """
     check_edge_index(edge_index)
-    check_array("cost", cost, torch.float32, (edge_index.shape[1],), f"[E] = [{edge_index.shape[1]}]")
+    check_array("cost", cost, torch.float32, (edge_index.shape[1],), "[E]")
     check_number("num_regions", num_regions, (int,))
     check_number("threshold", threshold, (int, float))
     if count is None:
         count = edge_index.new_ones(()).expand(edge_index.shape[1])  # takes no memory
-    check_array("count", count, torch.int64, (edge_index.shape[1],), f"[E] = [{edge_index.shape[1]}]")
+    check_array("count", count, torch.int64, (edge_index.shape[1],), "[E]")
     return call("region_dendrogram", edge_index, cost, num_regions, float(threshold), count)
 
 
@@ -202,9 +202,9 @@ def min_cut(
         (tensor([ True,  True, False, False]), tensor(1., dtype=torch.float64))
     """
     check_edge_index(edge_index)
-    check_vector("capacity", capacity, edge_index.shape[1], "E")
-    check_vector("source_capacity", source_capacity, None, "N")
-    check_vector("sink_capacity", sink_capacity, source_capacity.shape[0], "N")
+    check_array("capacity", capacity, FLOATING, (edge_index.shape[1],), "[E]")
+    check_array("source_capacity", source_capacity, FLOATING, (None,), "[N]")
+    check_array("sink_capacity", sink_capacity, FLOATING, source_capacity.shape, "[N]")
     return call("min_cut", edge_index, capacity, source_capacity, sink_capacity)
 
 

@@ -45,7 +45,7 @@ def ultrametric_contours(boundary: Tensor, relief: Tensor) -> Tensor:
                 [0.0000, 0.0000, 0.7500, 0.7500, 0.0000]])
     """
     check_array("boundary", boundary, torch.float32, (None, None), "[H, W]")
-    check_array("relief", relief, torch.float32, tuple(boundary.shape), f"[H, W] = {list(boundary.shape)}")
+    check_array("relief", relief, torch.float32, tuple(boundary.shape), "[H, W]")
     return call("ultrametric_contours", boundary, relief)
 
 
@@ -100,8 +100,8 @@ def propagate_labels(
     """
     check_array("markers", markers, torch.int32, (None, None), "[H, W]")
     height, width = markers.shape
-    check_array("colors", colors, torch.float32, (3, height, width), f"[3, H, W] = [3, {height}, {width}]")
-    check_array("boundary", boundary, torch.float32, (height, width), f"[H, W] = [{height}, {width}]")
+    check_array("colors", colors, torch.float32, (3, height, width), "[3, H, W]")
+    check_array("boundary", boundary, torch.float32, (height, width), "[H, W]")
     check_number("color_weight", color_weight, (int, float))
     check_number("boundary_weight", boundary_weight, (int, float))
     check_number("min_markers", min_markers, (int,))

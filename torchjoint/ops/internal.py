@@ -147,7 +147,7 @@ def boosted_trees(
     names = ("threshold", "missing_left", "left", "right", "leaf_value")
     dtypes = (torch.float64, torch.bool, torch.int32, torch.int32, torch.float64)
     for name, value, dtype in zip(names, trees[1:], dtypes, strict=True):  # trees come from users' files
-        check_array(name, value, dtype, tuple(feature.shape), f"[T, M] = {list(feature.shape)}")
+        check_array(name, value, dtype, tuple(feature.shape), "[T, M]")
     return call("boosted_trees", values, *trees)
 
 

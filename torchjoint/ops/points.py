@@ -46,7 +46,7 @@ def nearest_neighbors(
         num_distances = count
     check_number("num_distances", num_distances, (int,))
     if limits is not None:
-        check_array("limits", limits, torch.float64, (len(points),), f"[N] = [{len(points)}]")
+        check_array("limits", limits, torch.float64, (len(points),), "[N]")
     return call("nearest_neighbors", points, count, num_distances, limits)
 
 
@@ -197,7 +197,7 @@ def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, heigh
         ("depth", depth, torch.float32),
         ("reach", reach, torch.int64),
     ):
-        check_array(name, value, dtype, (row.shape[0],), f"[M] = [{row.shape[0]}]")
+        check_array(name, value, dtype, (row.shape[0],), "[M]")
     check_number("height", height, (int,))
     check_number("width", width, (int,))
     return call("splat_depth", row, column, depth, reach, height, width)

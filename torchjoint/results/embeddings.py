@@ -185,7 +185,7 @@ class Embeddings:
         """
         if torch.equal(labels, self.labels):
             return self
-        segment, row, points = _shared(labels, self.labels)
+        segment, row, points = shared_points(labels, self.labels)
         sums = self.vectors.new_zeros(int(labels.max()) + 1, self.vectors.shape[1])
         sums.index_add_(0, segment, self.vectors[row] * points[:, None])
         return Embeddings(functional.normalize(sums, dim=1), labels)
@@ -212,7 +212,7 @@ class Embeddings:
         _, stored = read_segments(path)
         if len(stored) != len(self.labels):
             raise ValueError(f"{path}: expected a result of {len(self.labels)} points, got {len(stored)}")
-        segment, row, points = _shared(stored, self.labels)
+        segment, row, points = shared_points(stored, self.labels)
         order = torch.argsort(points, stable=True)  # of several rows of a segment, the last one is kept
         return dict(zip(segment[order].tolist(), row[order].tolist(), strict=True))
 
@@ -245,7 +245,7 @@ def read_embeddings(folder: Path, num_points: int) -> Embeddings | None:
     return found
 
 
-def _shared(labels: Tensor, others: Tensor) -> Tensor:
+def shared_points(labels: Tensor, others: Tensor) -> Tensor:
     """[3, K]: the pairs of a label and another one that have common points, and their number; -1 is in no pair."""
     both = (labels >= 0) & (others >= 0)
     return counted_pairs(labels[both], others[both])

@@ -4,7 +4,6 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -13,6 +12,7 @@ from torchjoint.results.upright import SAMPLED, up_direction
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
+from torchjoint.scene.frame import to_8_bits
 from torchjoint.scene.scene import evenly_spaced_indices
 
 
@@ -108,7 +108,7 @@ def _draw_frames(figure: Any, scene: Scene, result: Segmentation, chosen: list[i
             "final": label_colors(result.images[index], result.num_point_segments),
         }
         for axis, (name, picture) in zip(axes[:, column], pictures.items(), strict=True):
-            axis.imshow(_bytes(picture))
+            axis.imshow(to_8_bits(picture).numpy())  # matplotlib resizes bytes faster than floats
             axis.set(xticks=[], yticks=[], ylabel=name if column == 0 else "")
         axes[0, column].set_title(printable(result.names[index]), fontsize=8, parse_math=False)
 
@@ -120,7 +120,7 @@ def _draw_cloud(figure: Any, scene: Scene, result: Segmentation, what: str = "se
     pictures = render_cloud(scene, torch.cat([colors, label_colors(result.points)], 1)).split(3, 2)
     titles = "cloud by height" if is_plain else "cloud", f"cloud, {result.num_point_segments} {what}"
     for axis, title, picture in zip(figure.subplots(1, 2), titles, pictures, strict=True):
-        axis.imshow(_bytes(picture))
+        axis.imshow(to_8_bits(picture).numpy())
         axis.set(xticks=[], yticks=[], title=title)
 
 
@@ -132,8 +132,3 @@ def _colors_of_heights(scene: Scene) -> Tensor:
     low, high = np.quantile(heights[:: -(-len(heights) // SAMPLED)].numpy(), (0.02, 0.98))
     share = ((heights - low) / max(high - low, 1e-9)).clamp(0, 1)
     return torch.from_numpy(colormaps["viridis"]((share * 255).long().numpy())[:, :3]).float()
-
-
-def _bytes(picture: Tensor) -> npt.NDArray[np.uint8]:
-    """[H, W, 3] colours in [0, 1] as bytes: matplotlib resizes bytes faster than floats."""
-    return (picture * 255).round().to(torch.uint8).numpy()

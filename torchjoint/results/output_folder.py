@@ -135,9 +135,8 @@ def output_folder(
                 shutil.rmtree(places.partial)
             raise
         held.check()
-        marker = _Marker(key, before)
-        marker.write(places.partial / COMPLETE)
-        _place(places, marker.before)
+        _Marker(key, before).write(places.partial / COMPLETE)
+        _place(places, before)
 
 
 def _finish_earlier(places: _Places, overwrite: bool) -> str | None:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchjoint.config import Config
 from torchjoint.masks.folder import frame_names
-from torchjoint.results.embeddings import Crop, Embeddings, Encoder, best_crops, check_segment, embed
+from torchjoint.results.embeddings import Crop, Embeddings, Encoder, best_crops, check_segment, embed, shared_points
 from torchjoint.results.objects import SegmentRecord, segment_records
 from torchjoint.results.picking import Pick, Pixels, Prompts, pick
 from torchjoint.results.relations import Relations, relations
@@ -73,9 +73,8 @@ class Result(Segmentation):
         found = super().at(granularity)
         if not self.segment_names:
             return found
-        count, is_known = self.num_point_segments, (found.points >= 0) & (self.points >= 0)
-        pairs, shared = torch.unique((found.points * count + self.points)[is_known], return_counts=True)
-        new, old = pairs // count, pairs % count
+        count = self.num_point_segments
+        new, old, shared = shared_points(found.points, self.points)
         has_name = torch.isin(old, torch.tensor(list(self.segment_names)))
         most = 2 * torch.bincount(new, shared * has_name) > torch.bincount(new, shared)
         more = found.num_point_segments - count

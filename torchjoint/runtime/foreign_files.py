@@ -118,6 +118,16 @@ def parse_json(data: bytes, name: str) -> Any:
         return json.loads(data, object_pairs_hook=dict_of)
 
 
+def inflate(data: bytes, size: int, name: str) -> bytes:
+    """Unpacks a whole zlib stream of `size` bytes; allocates at most one byte more. Errors begin with `name`."""
+    stream = zlib.decompressobj()
+    with damage_is(f"{name}: not a whole zlib stream"):
+        unpacked = stream.decompress(data, size + 1)
+    if not stream.eof or len(unpacked) != size:
+        raise ValueError(f"{name}: expected a zlib stream of {size} bytes, got another or a truncated one")
+    return unpacked
+
+
 @contextmanager
 def damage_is(message: str, *more: type[Exception]) -> Iterator[None]:
     """Turns an error of DAMAGE, or one of `more`, into a ValueError that begins with a message.

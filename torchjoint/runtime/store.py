@@ -25,7 +25,7 @@ from torch import Tensor
 
 from torchjoint.runtime import bounds
 from torchjoint.runtime.files import read_checked, write_checked
-from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.foreign_files import damage_is, inflate
 
 _LEVEL, _WINDOW_BITS, _MEMORY = 1, 15, 9
 _TYPES = {str(dtype).removeprefix("torch."): dtype for dtype in (torch.uint8, torch.int32, torch.int64, torch.float32)}
@@ -55,7 +55,9 @@ class Packed:
 
     def unpack(self) -> Tensor:
         """Returns the original tensor, bit for bit."""
-        flat: npt.NDArray[Any] = np.frombuffer(self._inflated(), dtype=self.stored)
+        size = math.prod(self.shape) * (4 if self.dtype == "float32" else np.dtype(self.stored).itemsize)
+        data = inflate(self.data(), size, f"packed {self.dtype} of shape {list(self.shape)}")
+        flat: npt.NDArray[Any] = np.frombuffer(data, dtype=self.stored)
         if self.dtype == "float32":
             flat = np.ascontiguousarray(flat.reshape(4, -1).T).view(np.float32)
         numbers = flat.reshape(self.shape)
@@ -63,15 +65,6 @@ class Packed:
             numbers = np.add.accumulate(numbers, axis=-1, dtype=np.uint8)
         tensor = torch.from_numpy(numbers if numbers.flags.writeable else numbers.copy()).to(_TYPES[self.dtype])
         return tensor + self.low if self.low else tensor
-
-    def _inflated(self) -> bytes:
-        """The stored numbers; allocates at most one byte more than they should have."""
-        data, stream = self.data(), zlib.decompressobj()
-        expected = math.prod(self.shape) * (4 if self.dtype == "float32" else np.dtype(self.stored).itemsize)
-        unpacked = stream.decompress(data, expected + 1)
-        if len(unpacked) != expected or not (stream.eof or not expected):
-            raise ValueError(f"packed {self.dtype}: expected {expected} bytes of shape {list(self.shape)}, got others")
-        return unpacked
 
     def to_dict(self) -> dict[str, Any]:
         """A dict of a tensor, numbers and strings, for torch.save and loading with ``weights_only=True``."""

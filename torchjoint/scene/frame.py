@@ -22,6 +22,11 @@ def camera_center(world_to_camera: Tensor) -> Tensor:
     return -(world_to_camera[:3, :3].T @ world_to_camera[:3, 3])
 
 
+def to_8_bits(values: Tensor) -> Tensor:
+    """Colours, or strengths of boundaries, in [0, 1] as uint8."""
+    return values.mul(255).round_().clamp_(0, 255).to(torch.uint8)
+
+
 #: In words, after "the poses look". Frames have world_to_camera in OpenCV axes, but files may have the others.
 CONVENTIONS = {
     "inverted": "inverted: camera-to-world where world-to-camera is expected, or the reverse?",

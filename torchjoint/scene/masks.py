@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime import bounds
-from torchjoint.runtime.groups import best_of_groups, check_dense, first_places
+from torchjoint.runtime.groups import best_of_groups, check_dense, distinct, first_places
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_float, as_labels, check_shape
 
@@ -107,7 +107,7 @@ class Masks:
         pairs = 0
         for number, pixels in enumerate(masks):
             inside = torch.from_numpy(pixels)
-            before, new = _unique(atom[inside], len(members))
+            before, new = distinct(atom[inside], len(members))
             atom[inside] = new + len(members)  # the part of an atom inside the mask becomes a new atom
             pairs += sum(len(members[old]) + 1 for old in before.tolist())
             bounds.check(pairs, bounds.PAIRS, "parts of masks that lie in several masks", name)
@@ -239,16 +239,6 @@ class Masks:
             members[atom].append(mask)
         atom = self.atom[row][:, column].long()
         return self._of_members(atom, [tuple(masks) for masks in members], self.scores, self.ids, self.names)
-
-
-def _unique(numbers: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """The distinct ones of some numbers below `count`, ascending, and the place of each number among them."""
-    if len(numbers) < count:
-        before, new = torch.unique(numbers, return_inverse=True)
-        return before, new
-    present = torch.zeros(count, dtype=torch.bool)
-    present[numbers] = True
-    return present.nonzero()[:, 0], (present.cumsum(0) - 1)[numbers]
 
 
 def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None = None, name: str = "masks") -> Masks:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 import torch
 
 from torchjoint import ops
-from torchjoint.runtime.groups import numbers_by_first_place
+from torchjoint.runtime.groups import counted_pairs, numbers_by_first_place
 from torchjoint.tiles.tile import OwnLabels, SharedLabels
 
 Ints = npt.NDArray[np.int64]
@@ -106,10 +106,7 @@ def _ranks(united: Ints, first: Ints, none: int) -> tuple[int, Ints]:
 def matching_superpoints(one: SharedLabels, other: SharedLabels) -> Ints:
     """Pairs [P, 2] of superpoints of two tiles; more than half of the shared points of each are in the other."""
     _, here, there = np.intersect1d(one.point, other.point, assume_unique=True, return_indices=True)
-    if not len(here):
-        return np.empty((0, 2), np.int64)
     first, second = one.superpoint[here].astype(np.int64), other.superpoint[there].astype(np.int64)
-    width = int(second.max()) + 1
-    pair, count = np.unique(first * width + second, return_counts=True)
-    pairs = np.stack([pair // width, pair % width], axis=1)
-    return pairs[2 * count > np.maximum(np.bincount(first)[pairs[:, 0]], np.bincount(second)[pairs[:, 1]])]
+    *pairs, count = counted_pairs(torch.from_numpy(first), torch.from_numpy(second)).numpy()
+    most = np.maximum(np.bincount(first)[pairs[0]], np.bincount(second)[pairs[1]])
+    return np.stack(pairs, axis=1)[2 * count > most]

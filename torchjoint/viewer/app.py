@@ -162,15 +162,11 @@ class Viewer:
         self.server.sleep_forever()
 
     def stop(self) -> None:
-        """Ends the page."""
-        self._end_work()
-        self.server.stop()
-
-    def _end_work(self) -> None:
-        """Ends what works in the background: a thread that is in compiled code when Python ends aborts the program."""
+        """Ends the page, after what works behind it."""
         self._has_stopped = True
-        for worker in self._workers:
+        for worker in self._workers:  # a thread that is in compiled code when Python ends aborts the program
             worker.join()
+        self.server.stop()
 
     def _add_panel(self, frame: int = 0, cameras: bool = False) -> None:
         """Builds a new panel, and connects its elements to their actions."""

@@ -18,6 +18,7 @@ from torchjoint.config import Config
 from torchjoint.images.segmenter import ImageSegments
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.scene import Frame
+from torchjoint.scene.frame import to_8_bits
 from torchjoint.views.observations import Observation, Observations
 from torchjoint.views.occluders import lines_across
 from torchjoint.views.propagation import edge_contours, edge_overlaps
@@ -144,7 +145,7 @@ def observe_frame(
         pose = graph.local.pose(frame.world_to_camera)
         visible = visible_points(graph.points, graph.spacing, frame.intrinsics, pose, frame.size, config.visibility)
         facing = orientation_votes(graph, visible.point, pose)
-    image, boundary = _to_8_bits(frame.image), _to_8_bits(segments.boundary)
+    image, boundary = to_8_bits(frame.image), to_8_bits(segments.boundary)
     with stopwatch("propagation"):
         labels = segments.labels.to(torch.int32) if segments.masks is None else segments.masks.atom
         overlaps = edge_overlaps(graph.adjacency, visible, labels, config.propagation.window)
@@ -157,7 +158,3 @@ def observe_frame(
         if segments.masks is None:
             observation = replace(observation, lines=lines_across(visible, graph.scales.noise))
     return FrameEvidence(observation, facing, overlaps, contours)
-
-
-def _to_8_bits(values: Tensor) -> Tensor:
-    return values.mul(255).round_().clamp_(0, 255).to(torch.uint8)

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.config import VisibilityConfig
-from torchjoint.runtime.groups import starts_group
 from torchjoint.scene import Frame
 from torchjoint.scene.frame import camera_center
 
@@ -78,21 +77,6 @@ def in_any_view(points: Tensor, frames: Iterable[Frame]) -> Tensor:
     for frame in frames:
         inside[project(points, frame.intrinsics, frame.world_to_camera, frame.size).point] = True
     return inside
-
-
-def nearest_in_cells(cell: Tensor, z: Tensor) -> Tensor:
-    """The nearest point of each non-empty cell; of equally near points the first.
-
-    Args:
-        cell: [M] int64, the cell of each point.
-        z: [M] metres along the optical axis.
-
-    Returns:
-        [C] int64 indices into the arguments, one per cell, in ascending order of the cells.
-    """
-    order = torch.argsort(z, stable=True)
-    order = order[torch.argsort(cell[order], stable=True)]
-    return order[starts_group(cell[order])]
 
 
 def hidden_point_removal(points: Tensor, center: Tensor, radius_factor: float) -> Tensor:

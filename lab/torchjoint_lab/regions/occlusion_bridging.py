@@ -14,11 +14,11 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.cloud.normals import dot, length, rows_of
-from torchjoint.runtime.groups import starts_group
+from torchjoint.runtime.groups import best_of_groups, starts_group
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.segments.planes import Planes
 from torchjoint.views.observations import Observation
-from torchjoint.views.visibility import Visible, nearest_in_cells
+from torchjoint.views.visibility import Visible
 from torchjoint_lab.regions.config import OcclusionBridgingConfig
 
 #: Cosine of the largest angle between the normals on the two sides, 26 degrees.
@@ -102,7 +102,8 @@ def _votes(point_labels: Tensor, planes: Planes, visible: Visible, num_segments:
 def _runs(row: Tensor, column: Tensor, z: Tensor, segment: Tensor) -> Runs:
     """Runs along the rows of a grid of square cells; the nearest point of a cell counts, empty cells are skipped."""
     square = row * (int(column.max()) + 1 if column.numel() else 1) + column
-    nearest = nearest_in_cells(square, z)
+    filled, of_point = torch.unique(square, return_inverse=True)
+    nearest, _ = best_of_groups(of_point, torch.arange(len(z)), -z, len(filled))
     row, segment = row[nearest], segment[nearest]
     start = torch.nonzero(starts_group(row) | starts_group(segment)).squeeze(1)
     end = torch.cat([start[1:], torch.tensor([len(nearest)])])[: len(start)]

@@ -32,8 +32,8 @@ SUFFIXES = (".las", ".laz")
 COPC = ".copc.laz"
 #: Points that are read at a time; a chunk of LAZ has 50,000.
 CHUNK = 1_000_000
-#: Sizes of the header's fixed part, of the header of a variable length record, and of an extended one, bytes.
-HEADER, RECORD, EXTENDED_RECORD = 227, 54, 60
+#: Sizes of the header's fixed part, and of the header of a variable length record, bytes.
+HEADER, RECORD = 227, 54
 #: Keys of GeoTIFF: the projected coordinate system, the geographic one, and their value if the code is not EPSG's.
 PROJECTED, GEOGRAPHIC, USER_DEFINED = 3072, 2048, 32767
 #: Keys of the kind of coordinates, 2 for degrees, and of the units of lengths and of heights; codes of metres, or none.
@@ -232,7 +232,11 @@ def check_header(path: Path) -> LasHeader:
         size = file.size
         header = _parse(file.read(f"{min(size, 375)}s")[0])
         end = header.extended_at if header.num_extended else size
-        _check_records(file, header)
+        _skip_records(file, header.size, header.num_records, "H")
+        if not file.place <= header.points_at <= size:
+            told = f"the points begin at byte {header.points_at}"
+            raise ValueError(f"{told}: the records before them end at {file.place}")
+        _skip_records(file, header.extended_at, header.num_extended, "Q")
         if not header.num_points:
             return header
         if header.is_compressed:
@@ -270,18 +274,12 @@ def _parse(head: bytes) -> LasHeader:
     return LasHeader(size, points_at, num_records, record_size, num_points, compressed, extended_at, num_extended)
 
 
-def _check_records(file: BinaryFile, header: LasHeader) -> None:
-    """Checks that the records before and after the points lie in the file."""
-    file.place = header.size
-    for _ in range(header.num_records):
-        file.skip(RECORD - 34)
-        file.skip(32 + file.read("H")[0])
-    if not file.place <= header.points_at <= file.size:
-        raise ValueError(f"the points begin at byte {header.points_at}: the records before them end at {file.place}")
-    file.place = header.extended_at
-    for _ in range(header.num_extended):
-        file.skip(EXTENDED_RECORD - 40)
-        file.skip(32 + file.read("Q")[0])
+def _skip_records(file: BinaryFile, place: int, count: int, length: str) -> None:
+    """Skips records, which must lie in the file: 20 bytes, the length of their content, a text of 32 bytes, content."""
+    file.place = place
+    for _ in range(count):
+        file.skip(20)
+        file.skip(32 + file.read(length)[0])
 
 
 def _check_chunks(file: BinaryFile, header: LasHeader) -> None:

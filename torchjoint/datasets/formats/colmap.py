@@ -75,8 +75,8 @@ def load(path: Path, options: Options) -> Scene:
 def _models(path: Path) -> list[Path]:
     """The models of which one is read: COLMAP numbers those of parts that it could not join."""
     numbered = (path / "sparse").glob("[0-9]*") if has_folder(path / "sparse") else ()
-    parts = sorted((one for one in numbered if one.name.isdigit() and has_model(one)), key=lambda one: int(one.name))
-    return parts or [one for one in (path / "sparse", path) if has_model(one)][:1]
+    parts = sorted((one for one in numbered if one.name.isdigit() and _suffix(one)), key=lambda one: int(one.name))
+    return parts or [one for one in (path / "sparse", path) if _suffix(one)][:1]
 
 
 def _largest(path: Path, models: Sequence[Path]) -> Path:
@@ -123,13 +123,8 @@ T = TypeVar("T")
 _PARTS = "cameras", "images", "points3D"
 
 
-def has_model(folder: Path) -> bool:
-    """Returns whether a folder holds a sparse model."""
-    return _suffix(folder) is not None
-
-
 def _suffix(folder: Path) -> str | None:
-    """The suffix of a model's files, .bin or .txt: as in COLMAP, one for all, .bin if both are whole."""
+    """The suffix of a model's files, .bin or .txt: as in COLMAP, one for all, .bin if both are whole; None: none."""
     found = {kind: [has_file(folder / f"{part}{kind}") for part in _PARTS] for kind in (".bin", ".txt")}
     return next((kind for least in (3, 2) for kind, has in found.items() if all(has[:least])), None)
 

@@ -42,8 +42,6 @@ def load(path: Path, options: Options) -> Scene:
 
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the rooms of an area, or of all areas."""
-    if not has_folder(path):
-        return {}
     inside = "*" if any(recognizes(one.parent) for one in path.glob("*/Annotations")) else "Area_*/*"
     if not any(path.glob(f"{inside}/Annotations")):
         return {}

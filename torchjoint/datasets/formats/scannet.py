@@ -19,7 +19,6 @@ cameras nor SCAN.txt's axis alignment are applied.
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -37,15 +36,7 @@ from torchjoint.datasets.files.readers import decode_image, of_size, read_depth,
 from torchjoint.datasets.files.text import Record, parse_numbers
 from torchjoint.datasets.truth import image_instances, vertex_instances
 from torchjoint.runtime import bounds
-from torchjoint.runtime.foreign_files import (
-    damage_is,
-    dict_of,
-    has_file,
-    has_folder,
-    open_file,
-    or_unreadable,
-    read_text,
-)
+from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, inflate, open_file, or_unreadable, read_text
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import as_intrinsics
 
@@ -298,7 +289,7 @@ class SensFile:
         data = self._read(self._images[index][1], name)
         expected = 2 * math.prod(self.depth_size)
         if self._depth_codec == _ZLIB:
-            data = _inflate(data, expected, name)
+            data = inflate(data, expected, name)
         if len(data) != expected:
             raise ValueError(f"{name}: expected {expected} bytes, got {len(data)}")
         raw = np.frombuffer(data, dtype="<u2").reshape(self.depth_size)
@@ -342,13 +333,3 @@ def _index(file: BinaryFile) -> tuple[list[tuple[_Place, _Place]], list[list[flo
         poses.append(pose)
         file.skip(color_bytes + depth_bytes)
     return images, poses
-
-
-def _inflate(data: bytes, expected: int, name: str) -> bytes:
-    """Decompresses data to `expected` bytes; allocates at most one byte more."""
-    stream = zlib.decompressobj()
-    with damage_is(f"{name}: not a whole zlib stream"):
-        unpacked = stream.decompress(data, expected + 1)
-    if not stream.eof or len(unpacked) != expected:
-        raise ValueError(f"{name}: expected a zlib stream of {expected} bytes, got another or a truncated one")
-    return unpacked
