@@ -79,13 +79,13 @@ def check_largest(value: Tensor, name: str) -> None:
         raise ValueError(f"{name}: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:.4g}")
 
 
-def without_return(points: Tensor, fewest: int | None = None) -> Tensor:
+def without_return(points: Tensor, any_counts: bool = False) -> Tensor:
     """Which points [N, 3] are exactly (0, 0, 0): beams without return, as many drivers of LiDARs write them; [N] bool.
 
-    Fewer than `fewest`, or all, are points as others are. Default: BEAMS, and one in a hundred.
+    Fewer than BEAMS or one in a hundred, unless `any_counts`, are points as others are; so are all.
     """
     none = ~points.any(1)
-    fewest = max(BEAMS, len(points) // 100) if fewest is None else fewest
+    fewest = 1 if any_counts else max(BEAMS, len(points) // 100)
     return none if fewest <= int(none.sum()) < len(none) else torch.zeros_like(none)
 
 
@@ -109,8 +109,7 @@ def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "kee
             raise ValueError(f"{told}; --drop-invalid (drop_invalid=True) leaves them out")
         warnings.warn(f"{told}; they are left out", stacklevel=3)
     valid |= invalid == "keep"
-    fewest = 1 if beams == "drop any" else None
-    none = torch.cat([without_return(cloud, fewest) for cloud in points.tensor_split(tuple(cuts))])
+    none = torch.cat([without_return(cloud, beams == "drop any") for cloud in points.tensor_split(tuple(cuts))])
     if beams != "keep" and bool(none.any()):
         told = f"{name}: {int(none.sum())} of {len(points)} points are (0, 0, 0), beams without return"
         warnings.warn(f"{told}; they are left out", stacklevel=3)
