@@ -200,9 +200,12 @@ def test_edges_of_ones_own():
 def clouds_of_several_kinds():
     box, _ = box_on_floor()
     uneven = torch.rand(5000, 3, generator=random(1)) ** 3
-    return [uneven, torch.rand(1, 3, generator=random(1)), box, torch.zeros(30, 3), box[:777]]
+    beams = torch.cat([torch.zeros(20, 3), box[:777]])  # more than one in a hundred, but not of all points
+    few = torch.cat([torch.zeros(5, 3), box[:300]])
+    return [uneven, torch.rand(1, 3, generator=random(1)), box, torch.zeros(30, 3), beams, few, few]
 
 
+@pytest.mark.filterwarnings("ignore:.*beams without return")
 @pytest.mark.parametrize("preset", ["default", "scan"])
 @pytest.mark.parametrize("threads", [1, 2, 3])
 def test_a_cloud_in_a_batch_is_the_cloud_alone(threads, preset, set_threads):
@@ -217,8 +220,9 @@ def test_a_cloud_in_a_batch_is_the_cloud_alone(threads, preset, set_threads):
     assert torch.equal(again, alone[0])
     offset = 0
     for labels, part in zip(alone, together.split([len(cloud) for cloud in clouds]), strict=True):
-        assert torch.equal(part, labels + offset)
+        assert torch.equal(part, torch.where(labels < 0, -1, labels + offset))
         offset += int(labels.max()) + 1
+    assert (together < 0).sum() == 20
 
 
 def test_meshes_in_a_batch_are_the_meshes_alone():

@@ -25,7 +25,7 @@ from torchjoint.config import SuperpointsConfig
 from torchjoint.runtime.groups import check_dense, first_places
 from torchjoint.runtime.threads import one_thread_per_operation, parallel_map
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import as_tensor, without_return
+from torchjoint.scene.checks import as_tensor
 
 #: A tensor, or a numpy array.
 Values = TypeVar("Values", Tensor, npt.NDArray[Any])
@@ -114,22 +114,14 @@ def superpoints(
     """
     given: list[Any] = [points, colors, normals, edges, faces, ptr, viewpoint]
     given = [as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given]
-    batch, valid = Batch(*given), None
+    batch = Batch(*given)
     for name, value in batch._asdict().items():
         if value is not None or name == "points":
             check_dense(value, name)
-    if drop_invalid or _has_beams(batch):
-        valid, batch = without_invalid(batch, "drop" if drop_invalid else "keep")
-    labels = _segment_batch(batch, preset, parameters)
-    if valid is not None:
-        labels = torch.full((len(valid),), -1).masked_scatter_(valid, labels)
+    valid, batch = without_invalid(batch, "drop" if drop_invalid else "keep")
+    labels = torch.full_like(valid, -1, dtype=torch.int64)
+    labels[valid] = _segment_batch(batch, preset, parameters)
     return labels.numpy() if isinstance(points, np.ndarray) else labels
-
-
-def _has_beams(batch: Batch) -> bool:
-    """Whether a cloud without a graph has beams without return."""
-    is_cloud = batch.points.ndim == 2 and batch.edges is None and batch.faces is None
-    return is_cloud and bool(without_return(batch.points).any())
 
 
 def _segment_batch(batch: Batch, preset: str | SuperpointsConfig, parameters: SuperpointsParameters) -> Tensor:

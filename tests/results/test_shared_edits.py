@@ -50,6 +50,8 @@ def opened(folder: Path) -> tuple[Parts, Edits]:
         ((A, B), (A,), (), ()),
         ((A,), (A, B, C), (A, B, D), (A, B, C, D)),  # both have done b
         ((A,), (B,), (A,), (B,)),
+        ((A, B, C), (A, C), (A, B), (A,)),  # each has undone another one
+        ((A,), (A, A), (), (A,)),  # they have done the same once more
     ],
 )
 def test_what_two_make_of_the_same_corrections(before, theirs, own, merged):

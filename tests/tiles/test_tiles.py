@@ -541,6 +541,17 @@ def test_a_point_that_is_alone_in_its_tile(tmp_path):
     assert (made.num_points, made.num_tiles) == (2_001, 2)
 
 
+def test_beams_without_return_are_one_superpoint(tmp_path):
+    near = laspy.create()  # in coordinates of a LiDAR, or of a project: the corner of the first tile is (0, 0, 0)
+    near.xyz = np.concatenate([np.zeros((50, 3)), abs(town(2_000, 12))])
+    near.write(tmp_path / "town.laz")
+    with pytest.warns(UserWarning, match="beams without return"):
+        superpoints_of_files(tmp_path / "town.laz", tmp_path / "out.laz", engine="loky:1")
+    beams, others = labels_of(tmp_path / "out.laz").tensor_split([50])
+    assert len(beams.unique()) == 1
+    assert beams[0] not in others
+
+
 @pytest.mark.parametrize("tile", [1e-12, 1e-3, 1e9, 1e300])
 def test_a_tile_whose_grid_would_fill_the_memory(cloud, tmp_path, tile):
     with pytest.raises(ValueError, match=r"tile: .* m: expected at most 128000000 cells"):

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchjoint.ops._checks import check_tensor
 from torchjoint.scene import Cloud
-from torchjoint.scene.checks import Beams, Invalid, as_float, kept_points
+from torchjoint.scene.checks import Beams, Invalid, as_float, as_points, kept_points
 
 
 class Batch(NamedTuple):
@@ -54,22 +54,24 @@ def without_invalid(batch: Batch, invalid: Invalid) -> tuple[Tensor, Batch]:
         which points are kept, [N] bool; and the batch without the others.
     """
     points, colors, normals, edges, faces, ptr, viewpoint = batch
-    if points.ndim != 2:
-        raise ValueError(f"points: expected shape [N, 3], got {list(points.shape)}")
+    if points.ndim != 2 or not points.is_floating_point():
+        as_points(points)  # raises the error
     beams: Beams = "drop many" if edges is None and faces is None else "keep"
-    num_points, valid = len(points), kept_points(points, "points", invalid, beams)
-    first = torch.cat([torch.zeros(1, dtype=torch.int64), valid.cumsum(0)])  # kept points before each point
-    graphs = []
-    for name, given in (("edges", edges), ("faces", faces)):
-        nodes = _checked_nodes(name, given, num_points)
-        graphs.append(None if nodes is None else first[nodes[:, valid[nodes].all(0)]])
-    edges, faces = graphs
-    if ptr is not None:
-        ptr = first[_checked_ptr(ptr, num_points)]
+    num_points, starts = len(points), _checked_ptr(ptr, len(points))
+    valid = kept_points(points, "points", invalid, beams, starts[1:-1])
+    if bool(valid.all()):
+        return valid, batch
+    first = torch.nn.functional.pad(valid.cumsum(0), (1, 0))  # kept points before each point
+    edges, faces = (
+        None if nodes is None else first[nodes[:, valid[nodes].all(0)]]
+        for nodes in (_checked_nodes("edges", edges, num_points), _checked_nodes("faces", faces, num_points))
+    )
     colors, normals, viewpoint = (
         of[valid] if isinstance(of, Tensor) and of.shape == points.shape else of for of in (colors, normals, viewpoint)
     )
-    return valid, Batch(points[valid], colors, normals, edges, None if faces is None else faces.T, ptr, viewpoint)
+    return valid, Batch(
+        points[valid], colors, normals, edges, None if faces is None else faces.T, first[starts], viewpoint
+    )
 
 
 def _checked_ptr(ptr: Tensor | None, num_points: int) -> list[int]:

@@ -284,7 +284,8 @@ def merged_steps(before: Steps, theirs: Steps, own: Steps) -> Steps:
         True
     """
     of_theirs, of_own = _common(before, theirs), _common(before, own)
-    added, own_added = theirs[of_theirs:], own[of_own:]
+    added = tuple(one for one in theirs[of_theirs:] if one in own or one not in before[of_theirs:])
+    own_added = own[of_own:]
     return (*before[: min(of_theirs, of_own)], *added, *own_added[_common(added, own_added) :])
 
 

@@ -4,6 +4,7 @@ The message calls the argument `name`, and says what was expected and what came.
 """
 
 import warnings
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -78,17 +79,17 @@ def check_largest(value: Tensor, name: str) -> None:
         raise ValueError(f"{name}: expected coordinates up to {LARGEST_COORDINATE:g}, got {largest:.4g}")
 
 
-def without_return(points: Tensor, fewest: int | None = None) -> Tensor:
+def without_return(points: Tensor, any_counts: bool = False) -> Tensor:
     """Which points [N, 3] are exactly (0, 0, 0): beams without return, as many drivers of LiDARs write them; [N] bool.
 
-    Fewer than `fewest`, or all, are points as others are. Default: BEAMS, and one in a hundred.
+    Fewer than BEAMS or one in a hundred, unless `any_counts`, are points as others are; so are all.
     """
     none = ~points.any(1)
-    fewest = max(BEAMS, len(points) // 100) if fewest is None else fewest
+    fewest = 1 if any_counts else max(BEAMS, len(points) // 100)
     return none if fewest <= int(none.sum()) < len(none) else torch.zeros_like(none)
 
 
-def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "keep") -> Tensor:
+def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "keep", cuts: Sequence[int] = ()) -> Tensor:
     """Which points [N, 3] are kept, [N] bool.
 
     Args:
@@ -97,6 +98,7 @@ def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "kee
         invalid: what becomes of points that are NaN or infinite; "drop" warns of their number.
         beams: what becomes of beams without return, see :func:`without_return`: they are kept; or left out, with a
             warning, if they are many, or if there are any.
+        cuts: where the second and further clouds begin, if the points are those of several: beams are many in one.
     """
     valid = torch.isfinite(points).all(1)
     bad = int((~valid).sum())
@@ -106,9 +108,9 @@ def kept_points(points: Tensor, name: str, invalid: Invalid, beams: Beams = "kee
         if invalid == "refuse" or bad == len(points):
             raise ValueError(f"{told}; --drop-invalid (drop_invalid=True) leaves them out")
         warnings.warn(f"{told}; they are left out", stacklevel=3)
-    elif bad:
-        valid = torch.ones_like(valid)
-    if beams != "keep" and bool((none := without_return(points, 1 if beams == "drop any" else None)).any()):
+    valid |= invalid == "keep"
+    none = torch.cat([without_return(cloud, beams == "drop any") for cloud in points.tensor_split(tuple(cuts))])
+    if beams != "keep" and bool(none.any()):
         told = f"{name}: {int(none.sum())} of {len(points)} points are (0, 0, 0), beams without return"
         warnings.warn(f"{told}; they are left out", stacklevel=3)
         valid &= ~none

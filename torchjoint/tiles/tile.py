@@ -161,6 +161,7 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
     at_rim = ((xy < -inside) | (xy > np.array(task.size) + inside)).any(1)
     del records, data
     label = superpoints(points, colors, preset=config).numpy().astype(np.int32)
+    label[label < 0] = label.max() + 1  # beams without return: the dimension has no -1
     whole_size = np.bincount(label).astype(np.int32)
     whole_size[label[at_rim]] = 0
     own, shared = (kind & OWN) > 0, (kind & SHARED) > 0
