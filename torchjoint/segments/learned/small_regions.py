@@ -11,8 +11,8 @@ from torchjoint import ops
 from torchjoint.runtime.groups import best_of_groups, counted_pairs, first_places
 from torchjoint.segments.learned.region_statistics import sum_by
 
-#: A region of fewer points is small. The first number is for clouds alone, and for masks, of which networks leave such
-#: remains; the second for images, whose contours tell small things from remains.
+#: A region of fewer points is small. The first number is for clouds alone, and for what lies in masks, of which
+#: networks leave such remains; the second for what else images show: their contours tell small things from remains.
 MIN_SIZE, MIN_SIZE_IN_IMAGES = 50, 15
 
 
