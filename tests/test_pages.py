@@ -143,6 +143,6 @@ def test_the_commands_of_a_page_run(page, place, run, request):
 
 def test_all_pages_with_commands_are_found():
     found = {page.stem for page in PAGES if commands(page)}
-    expected = "README in_and_out large live masks parameters quickstart superpoints your_data"
+    expected = "README in_and_out index large live masks parameters quickstart superpoints your_data"
     assert found == set(expected.split())
     assert ["show", "out"] in commands(ROOT / "README.md")

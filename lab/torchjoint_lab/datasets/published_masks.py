@@ -19,7 +19,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from torchjoint.datasets.files.readers import read_label_image
+from torch import Tensor
+
+from torchjoint.datasets.files.readers import labels_of, read_raster
 from torchjoint.masks import from_labels, from_sam, read_masks, save_masks
 from torchjoint.runtime.foreign_files import damage_is, read_file
 from torchjoint.runtime.store import load_values
@@ -59,7 +61,7 @@ def masks_of(folder: Path, scan: str, frames: Sequence[str]) -> Iterator[Path]:
         raise FileNotFoundError(
             f"{folder / scan}: missing; expected masks of the scan in it, or in mask/ or output/mask/, or {scan}.pth"
         )
-    elif not any((read_label_image(one) == NO_MASK).any() for one in _visible(place.glob("*.png"))):
+    elif not any((_numbers(one) == NO_MASK).any() for one in _visible(place.glob("*.png"))):
         yield place
         return
     else:
@@ -79,8 +81,12 @@ def _visible(paths: Iterable[Path]) -> list[Path]:
     return sorted(path for path in paths if not path.name.startswith("."))
 
 
+def _numbers(path: Path) -> Tensor:
+    return labels_of(read_raster(path), str(path))
+
+
 def _sam3d(path: Path) -> Masks:
-    labels = read_label_image(path)
+    labels = _numbers(path)
     return from_labels(labels.masked_fill(labels == NO_MASK, -1))
 
 
