@@ -74,7 +74,7 @@ def test_an_error_of_a_frame_is_raised(scene_of):
     segmenter.reset(scene.points)
     damaged = replace(scene, frames=Damaged(scene.frames))
     with pytest.raises(OSError, match=r"frame.png: damaged"):
-        list(evidence_of_chunks(HereExecutor(), None, segmenter, damaged))
+        list(evidence_of_chunks(HereExecutor())(segmenter, damaged))
 
 
 def test_a_fused_cloud_is_of_its_format(scene_of, tmp_path, monkeypatch):

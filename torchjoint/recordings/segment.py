@@ -130,16 +130,22 @@ class RecordingOptions:
 
 
 def evidence_of_chunks(
-    engine: EngineLike, folder: Path | None, segmenter: JointSegmenter, scene: Scene
-) -> Iterator[Evidence]:
+    engine: EngineLike, folder: Path | None = None
+) -> Callable[[JointSegmenter, Scene], Iterator[Evidence]]:
+    """The evidence of frames, by the workers of an engine: `workers` of :meth:`torchjoint.JointSegmenter.steps`.
+
+    The cloud's graph is written once to a temporary file in `folder`, which workers on other machines must see.
+    """
+    return partial(_in_order, engine, folder)
+
+
+def _in_order(engine: EngineLike, folder: Path | None, segmenter: JointSegmenter, scene: Scene) -> Iterator[Evidence]:
     """The evidence of the frames that the segmenter's state lacks, in their order (steps 1, 2, 4 and 5).
 
-    With the first two arguments it is `workers` of :meth:`torchjoint.JointSegmenter.steps`. The workers read those
-    frames that are on disk.
+    The workers read those frames that are on disk.
 
     Args:
-        engine: the workers.
-        folder: the cloud's graph is written once to a temporary file there; workers on other machines must see it.
+        engine, folder: the workers, and where they find the graph.
         segmenter: has been reset to the scene's cloud.
         scene: the cloud and its frames.
     """
@@ -295,7 +301,7 @@ def run(
     """``segmenter(scene)`` that saves its state from time to time, and goes on from a saved one; arguments as above."""
     for left in checkpoint.directory.glob(f"{SHARED}*"):
         left.unlink()  # by a run that was killed
-    workers = None if engine is None else partial(evidence_of_chunks, engine, checkpoint.directory)
+    workers = None if engine is None else evidence_of_chunks(engine, checkpoint.directory)
     steps = segmenter.steps(scene, progress=progress, batch_size=batch_size, resume=checkpoint.load, workers=workers)
     for number, _ in enumerate(steps):
         if number:  # before the first frame there is nothing to save
