@@ -130,9 +130,9 @@ class MaskLinkage:
         return best >= CONFIRMED
 
     def stays_small(self, of_superpoint: Tensor) -> Tensor:
-        """Whether each region stays, however small, [R] bool: a mask confirms it, or it is no remain of masks.
+        """Whether each region stays though it is small, [R] bool: a mask confirms it, or it is a small thing in images.
 
-        It is none if most views show it without a mask, and it has as many points as small things in images.
+        That is one of enough points that most views show without a mask, so that it is no remain of a mask.
         """
         size = sum_by(of_superpoint, self.size, int(of_superpoint.max()) + 1)
         of_images = self.masks.unmasked(of_superpoint) & (size >= MIN_SIZE_IN_IMAGES)
