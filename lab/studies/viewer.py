@@ -18,6 +18,7 @@ from playwright.sync_api import sync_playwright
 
 import torchjoint as tj
 from torchjoint.viewer.app import Viewer
+from torchjoint.viewer.server import Page
 from torchjoint.viewer.shown import Shown
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -129,12 +130,12 @@ def draw_clicks(page: Any) -> None:
 
 def draw(out: Path) -> None:
     """Writes the pictures of a result."""
-    viewer = Viewer(tj.load_result(out, edits=False), Shown(out), port=8940)
+    viewer = Viewer(tj.load_result(out, edits=False), Shown(out), page=Page(port=8940))
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=BROWSER, args=FLAGS)
         page = browser.new_page(viewport={"width": PAGE[0], "height": PAGE[1]})
         page.add_init_script(ARROW)
-        page.goto(viewer.url)
+        page.goto(viewer.page.url)
         page.wait_for_selector("#tj-image")
         page.wait_for_timeout(6000)
         for note in page.locator(".mantine-Notification-closeButton").all():  # there is no GPU

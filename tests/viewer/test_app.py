@@ -25,6 +25,7 @@ from msgspec import msgpack  # noqa: E402 (packages that viser needs)
 from websockets.sync.client import connect  # noqa: E402
 
 from torchjoint.viewer import app, live  # noqa: E402
+from torchjoint.viewer.server import Page  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 
@@ -32,7 +33,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::R
 def opened(folder, port):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return app.Viewer(tj.load_result(folder, edits=False), Shown(folder), port=port)
+        return app.Viewer(tj.load_result(folder, edits=False), Shown(folder), page=Page(port=port))
 
 
 def test_of_two_pages_the_later_save_keeps_the_earlier_one_s(out, tmp_path):
@@ -58,7 +59,7 @@ def test_a_page_is_there_before_the_labels(scene_of, monkeypatch):
     scene, found, segmenter = scene_of(3, num_points=6000).scene, [], tj.JointSegmenter()
     labels_so_far = live.labels_so_far
     monkeypatch.setattr(live, "labels_so_far", lambda *of_run: (found.append("labels"), labels_so_far(*of_run))[1])
-    view = live.LiveView(lambda url: found.append("page"), port=8990)
+    view = live.LiveView(lambda: Page(lambda url: found.append("page"), port=8990))
     for _ in segmenter.steps(scene, batch_size=6):
         view(segmenter, scene)
         assert view.viewer.result.num_point_segments > 1
@@ -131,7 +132,7 @@ def test_what_is_typed_while_another_action_works_stays(out, tmp_path):
 
 def test_a_page_that_ends_has_no_thread_at_work(out):
     viewer = opened(out, 8990)
-    (worker,) = viewer._workers
+    (worker,) = viewer.page._workers
     viewer.stop()
     assert not worker.is_alive()
     assert worker not in threading.enumerate()
@@ -145,7 +146,7 @@ def test_a_page_of_a_damaged_image_ends_no_thread(out, tmp_path, monkeypatch):
     for image in (folder / "pieces").iterdir():
         image.write_bytes(b"")
     viewer = opened(folder, 8990)
-    viewer._workers[-1].join()
+    viewer.page._workers[-1].join()
     viewer.stop()
     assert raised == []
 
@@ -154,7 +155,7 @@ def test_a_survey_is_as_exact_as_a_room(out):
     """The page has float32: its points stood in steps of a quarter of a metre."""
     result = tj.load_result(out)
     points = result.scene.points.double() + torch.tensor([500_000.0, 4_000_000.0, 100.0])
-    viewer = app.Viewer(replace(result, scene=replace(result.scene, points=points, frames=())), port=8990)
+    viewer = app.Viewer(replace(result, scene=replace(result.scene, points=points, frames=())), page=Page(port=8990))
     (part, *_), handle = viewer._cloud._parts, viewer._cloud._handles[0]
     shown = handle.points.astype(np.float64) + handle.position
     viewer.stop()
@@ -166,6 +167,7 @@ import sys, time, threading
 import torchjoint as tj
 from torchjoint.results.parts import Parts
 from torchjoint.viewer.app import Viewer
+from torchjoint.viewer.server import Page
 
 image, started = Parts.image, threading.Event()
 def slow(*arguments):
@@ -173,9 +175,9 @@ def slow(*arguments):
     time.sleep(1)  # the thread is at work when the program ends
     return image(*arguments)
 Parts.image = slow
-viewer = Viewer(tj.load_result(sys.argv[1], edits=False), port=8995)
+viewer = Viewer(tj.load_result(sys.argv[1], edits=False), page=Page(port=8995))
 assert started.wait(60)
-print(viewer.url, flush=True)
+print(viewer.page.url, flush=True)
 while not viewer.server.get_clients():
     time.sleep(0.1)
 """
@@ -314,6 +316,6 @@ def test_without_images_there_are_no_masks_to_export(out):
     for scene, kinds in ((whole := tj.load_result(out).scene, 3), (tj.Scene(whole.points), 1)):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            viewer = app.Viewer(tj.Result.of(tj.JointSegmenter()(scene), scene), port=8990)
+            viewer = app.Viewer(tj.Result.of(tj.JointSegmenter()(scene), scene), page=Page(port=8990))
         assert viewer._panel.export.options == ("PLY", "PNG", "COCO")[:kinds]
         viewer.stop()

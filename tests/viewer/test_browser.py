@@ -30,6 +30,7 @@ from torchjoint.viewer.cloud import pick_point
 from torchjoint.viewer.live import GrowingView, LiveView
 from torchjoint.viewer.model import Model
 from torchjoint.viewer.painting import point_colors, superpoint_colors
+from torchjoint.viewer.server import Page
 from torchjoint.viewer.shown import LiveRun, Shown
 from torchjoint.viewer.truth import with_truth
 
@@ -94,7 +95,7 @@ def only_viewer(out, tmp_path_factory):
     shutil.copytree(out, folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        viewer = Viewer(tj.load_result(folder, edits=False), Shown(folder), port=8950)
+        viewer = Viewer(tj.load_result(folder, edits=False), Shown(folder), page=Page(port=8950))
     yield viewer
     viewer.stop()
 
@@ -109,7 +110,7 @@ def viewer(only_viewer, tab):
         only_viewer.model = Model(result, shown.edits(result), only_viewer.model.up)
         only_viewer._panel.frame.value, only_viewer._panel.cameras.value = 0, False
         only_viewer.open(result, shown)
-    for worker in only_viewer._workers:
+    for worker in only_viewer.page._workers:
         worker.join()
     return only_viewer
 
@@ -125,7 +126,7 @@ def page(tab, viewer):
 
 def show(page, viewer):
     """Opens the viewer's page. It draws each pixel, however slow that is; else it takes fewer, and moves the camera."""
-    page.goto(f"{viewer.url}?fixedDpr=1")
+    page.goto(f"{viewer.page.url}?fixedDpr=1")
     page.wait_for_selector("#tj-image")
     return page
 
@@ -411,7 +412,9 @@ def test_words_find_things(tab, out, tmp_path):
     vectors = torch.eye(int(labels.max()) + 1)
     Embeddings(vectors, labels).save(folder)
     words = {"a mug": vectors[3] + 0.5 * vectors[5], "a mu": torch.ones(2)}
-    viewer = Viewer(tj.load_result(folder, edits=False), Shown(folder, text_encoder=words.__getitem__), port=8985)
+    viewer = Viewer(
+        tj.load_result(folder, edits=False), Shown(folder, text_encoder=words.__getitem__), page=Page(port=8985)
+    )
     page = show(tab, viewer)
     open_table(page)
     for typed, told in (("a mu", "query: expected"), ("a mug", "segment 3:")):
@@ -600,7 +603,7 @@ def test_a_phone_in_the_dark(phone, viewer, monkeypatch):
 
     monkeypatch.setattr(viewer, "_on_event", drop_first)
     viewer._guarded(viewer._select, (0,))
-    page.goto(viewer.url)
+    page.goto(viewer.page.url)
     wait(lambda: camera(viewer) is not None)
     wait(lambda: viewer.model.pale < 100)
     faded = viewer.model.table[viewer.model.parts.of_point] != 0
@@ -629,7 +632,7 @@ def test_a_phone_in_the_dark(phone, viewer, monkeypatch):
 
 def test_the_truth_beside_a_prediction(tab, out, scene_of):
     synthetic = scene_of(3, num_points=6000)
-    viewer = Viewer(with_truth(tj.load_result(out), synthetic.scene), port=8955)
+    viewer = Viewer(with_truth(tj.load_result(out), synthetic.scene), page=Page(port=8955))
     page = show(tab, viewer)
     wait(lambda: drawn(page) > 1000)
     wait(lambda: sees_all(viewer))
@@ -649,7 +652,7 @@ def test_parameters_of_a_run_in_memory(tab, scene_of):
     scene = scene_of(3, num_points=6000).scene
     segmenter = tj.JointSegmenter(tj.Config().set(["point_segments.method=paper", "boundary.detector=gradient"]))
     result = tj.Result.of(segmenter(scene), scene)
-    viewer = Viewer(result, Shown(run=LiveRun(segmenter, scene)), port=8960)
+    viewer = Viewer(result, Shown(run=LiveRun(segmenter, scene)), page=Page(port=8960))
     page = show(tab, viewer)
     page.locator("xpath=//*[starts-with(normalize-space(text()),'Parameters')]/following::input[1]").fill("0.1")
     page.get_by_role("button", name="Compute again").click()
@@ -661,7 +664,7 @@ def test_parameters_of_a_run_in_memory(tab, scene_of):
 
 def test_a_run_is_shown_while_its_frames_come(tab, scene_of, tmp_path):
     scene, config = scene_of(3, num_points=6000).scene, tj.Config().set(["boundary.detector=gradient"])
-    live = LiveView(lambda url: None, share=1.0, port=8970)
+    live = LiveView(lambda: Page(port=8970), share=1.0)
     page, notes, colors, images = tab, [], [], []
 
     def watch(segmenter, scene):
@@ -692,8 +695,13 @@ def test_a_run_is_shown_while_its_frames_come(tab, scene_of, tmp_path):
     page.mouse.click(*visible_segments(live.viewer)[0][1])
     wait(lambda: "segment" in panel(page) and "Click" not in panel(page))
     assert page.get_by_role("button", name="Join").count() == 0
+    page.locator("xpath=//*[text()='Name']/following::input[1]").fill("chair")
+    wait(lambda: "chair" in panel(page))
+    with page.expect_download() as download:
+        page.get_by_role("button", name="PLY").click()
     (lit,) = live.viewer.model.selected
     points = live.viewer.result.points == live.viewer.model.key(lit)
+    assert len(tj.load_scene(download.value.path().rename(tmp_path / "one.ply")).points) == points.sum()
     live.finish(out, LiveRun(segmenter, scene))
     page.get_by_role("button", name="Join").wait_for()
     assert page.locator("#tj-note").count() == 0
@@ -701,20 +709,22 @@ def test_a_run_is_shown_while_its_frames_come(tab, scene_of, tmp_path):
     assert live.viewer.model.parts.count > result.num_point_segments  # all levels
     (selected,) = live.viewer.model.selected  # what was selected still is
     row = live.viewer.model.row(selected)
-    wait(lambda: f"segment {row.key}" in panel(page) and "seen in" in panel(page))
+    wait(lambda: f"segment {row.key} chair" in panel(page) and "seen in" in panel(page))
+    assert tj.load_result(out).segment_names == {row.key: "chair"}  # saved, as what is named now
     assert (result.points[points] == row.key).float().mean() > 0.5
     live.viewer.stop()
 
 
 def test_the_cloud_grows_while_frames_come(tab, scene_of, tmp_path):
     frames = scene_of(3, num_points=6000).scene.frames
-    view, segmenter = GrowingView(lambda url: None, port=8980), tj.LiveSegmenter(voxel_size=0.04)
+    view, segmenter = GrowingView(Page(port=8980, note="wait for it")), tj.LiveSegmenter(voxel_size=0.04)
     segmenter.update(frames[:2])
     first = segmenter.result(images=False)
-    view.camera(frames[1])  # there is no page yet
-    view.show(first, tj.Scene(first.cloud.points, frames[:2]), "after 2 frames")
+    view.camera(frames[1])  # there is no cloud yet
     page = tab
-    page.goto(f"{view.viewer.url}?fixedDpr=1")
+    page.goto(f"{view.page.url}?fixedDpr=1")
+    page.get_by_text("wait for it").wait_for()
+    view.show(first, tj.Scene(first.cloud.points, frames[:2]), "after 2 frames")
     wait(lambda: drawn(page) > 1000)
     wait(lambda: sees_all(view.viewer))
     wait(lambda: "after 2 frames" in page.inner_text("#tj-note"))
@@ -723,6 +733,8 @@ def test_the_cloud_grows_while_frames_come(tab, scene_of, tmp_path):
     wait(lambda: view.viewer.model.selected == (segment,))
     thing = view.viewer.model.key(segment)
     color = superpoint_colors(view.viewer.model)[segment]
+    page.locator("xpath=//*[text()='Name']/following::input[1]").fill("stool")
+    wait(lambda: "stool" in panel(page))
     segmenter.update(frames[2:])
     second = segmenter.result(images=False)
     assert len(second.cloud.points) > len(first.cloud.points)
@@ -736,18 +748,18 @@ def test_the_cloud_grows_while_frames_come(tab, scene_of, tmp_path):
     (segment,) = view.viewer.model.selected  # the same thing
     assert view.viewer.model.key(segment) == thing
     assert np.array_equal(superpoint_colors(view.viewer.model)[segment], color)
-    wait(lambda: f"segment {thing}" in panel(page))
+    wait(lambda: f"segment {thing} stool" in panel(page))
     place = dict(visible_segments(view.viewer))[segment]
     wait(lambda: is_like(color_at(page, place), color))
-    assert page.locator("#tj-image").count() == 0
+    assert page.locator("#tj-image").is_visible()
     # at the end the result's folder is shown: with the photos, names, files, and the same colours
     last = segmenter.result()
     frames = [frame for frame in frames if frame.name in segmenter.names]
     things = tj.Scene(last.cloud.points, frames, last.cloud.colors)
     write_result(tmp_path, things, last.segmentation, tj.Config(), "here")
     view.finish(tmp_path, last)
-    wait(lambda: page.locator("#tj-image").count() == 1)
     page.get_by_role("button", name="Join").wait_for()
+    assert [*tj.load_result(tmp_path).segment_names.values()] == ["stool"]
     (segment,) = view.viewer.model.selected
     assert int(last.ids[view.viewer.model.key(segment)]) == thing
     assert np.array_equal(superpoint_colors(view.viewer.model)[segment], color)

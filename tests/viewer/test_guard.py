@@ -11,7 +11,6 @@ import urllib.request
 import warnings
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 import torchjoint as tj
@@ -19,6 +18,8 @@ import torchjoint as tj
 viser = pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
 from websockets.exceptions import InvalidStatus  # noqa: E402 (a package that viser needs)
 from websockets.sync.client import connect  # noqa: E402
+
+from torchjoint.viewer.server import Page  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -31,7 +32,7 @@ def viewer(out):
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        viewer = Viewer(tj.load_result(out, edits=False), port=8980)
+        viewer = Viewer(tj.load_result(out, edits=False), page=Page(port=8980))
     yield viewer
     viewer.stop()
 
@@ -71,7 +72,7 @@ def test_a_page_that_has_ended_draws_nothing(out):
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        viewer, drawn = Viewer(tj.load_result(out, edits=False), port=8985), []
+        viewer, drawn = Viewer(tj.load_result(out, edits=False), page=Page(port=8985)), []
     viewer._guarded(drawn.append, 1)
     viewer.stop()  # while it counts pixels in the background
     viewer._guarded(drawn.append, 2)
@@ -82,31 +83,29 @@ def test_a_page_that_has_ended_draws_nothing(out):
 
 
 def test_the_page_needs_its_whole_address(viewer):
-    assert viewer.url.startswith(f"http://{place(viewer)}/")
-    assert len(viewer.url) > len(f"http://{place(viewer)}/") + 30
-    assert answer(viewer.url) == 200
-    assert answer(f"{viewer.url}?websocket=x") == 200
-    for wrong in (f"http://{place(viewer)}/", viewer.url[:-2], f"http://{place(viewer)}/index.html"):
+    assert viewer.page.url.startswith(f"http://{place(viewer)}/")
+    assert len(viewer.page.url) > len(f"http://{place(viewer)}/") + 30
+    assert answer(viewer.page.url) == 200
+    assert answer(f"{viewer.page.url}?websocket=x") == 200
+    for wrong in (f"http://{place(viewer)}/", viewer.page.url[:-2], f"http://{place(viewer)}/index.html"):
         assert answer(wrong) == 403
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""])
 def test_a_name_of_another_site_that_leads_here(viewer, host):
-    assert answer(viewer.url, Host=host) == 403
+    assert answer(viewer.page.url, Host=host) == 403
 
 
 @pytest.mark.parametrize("host", ["localhost:9000", "127.0.0.1", "[::1]:7"])
 def test_a_forwarded_port(viewer, host):
-    assert answer(viewer.url, Host=host) == 200
+    assert answer(viewer.page.url, Host=host) == 200
 
 
 def test_a_machine_whose_name_has_capitals(viewer, monkeypatch):
-    from torchjoint.viewer.server import start_server
-
     monkeypatch.setattr(socket, "gethostname", lambda: "DESKTOP-7K")
-    server, _, url = start_server(viewer.result.scene, np.array([0.0, 0.0, 1.0]), "127.0.0.1", 8985)
-    assert [answer(url, Host=host) for host in ("DESKTOP-7K:8985", "desktop-7k", "desktop-8k")] == [200, 200, 403]
-    server.stop()
+    page = Page(port=8985)
+    assert [answer(page.url, Host=host) for host in ("DESKTOP-7K:8985", "desktop-7k", "desktop-8k")] == [200, 200, 403]
+    page.stop()
 
 
 ODD = [
@@ -119,12 +118,12 @@ ODD = [
 @pytest.mark.parametrize("request_", ODD, ids=["two hosts", "half an address", "no text"])
 def test_an_odd_request_is_refused_as_any_other(viewer, request_):
     with socket.create_connection(("127.0.0.1", viewer.server.get_port()), timeout=10) as connection:
-        connection.sendall(request_.replace(b"%(token)s", viewer.url.split("/")[3].encode()))
+        connection.sendall(request_.replace(b"%(token)s", viewer.page.url.split("/")[3].encode()))
         assert connection.recv(100).split(b"\r\n")[0] == b"HTTP/1.1 403 Forbidden"
 
 
 def test_the_websocket_needs_it_too(viewer):
-    url = viewer.url.replace("http", "ws").rstrip("/")
+    url = viewer.page.url.replace("http", "ws").rstrip("/")
     assert opens(viewer, url)
     assert opens(viewer, url, origin=f"http://{place(viewer)}")
     assert not opens(viewer, f"ws://{place(viewer)}")
@@ -135,11 +134,9 @@ def test_the_websocket_needs_it_too(viewer):
 
 
 def test_the_address_is_another_one_each_time(viewer):
-    from torchjoint.viewer.server import start_server
-
-    server, _, url = start_server(viewer.result.scene, np.array([0.0, 0.0, 1.0]), "127.0.0.1", 8985)
-    assert url.split("/")[3] != viewer.url.split("/")[3]
-    server.stop()
+    page = Page(port=8985)
+    assert page.url.split("/")[3] != viewer.page.url.split("/")[3]
+    page.stop()
 
 
 def test_what_only_this_machine_reaches():
@@ -164,7 +161,7 @@ Promise.all(attempts.map(url => new Promise(end => {
 @pytest.mark.skipif(BROWSER is None, reason="no browser: apt-get install chromium")
 def test_a_page_of_another_port_reads_nothing(viewer, tmp_path):
     sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
-    own = viewer.url.replace("http", "ws").rstrip("/")
+    own = viewer.page.url.replace("http", "ws").rstrip("/")
     attempts = [
         f"ws://{place(viewer)}",
         own,
@@ -181,7 +178,7 @@ def test_a_page_of_another_port_reads_nothing(viewer, tmp_path):
         page.wait_for_function("document.title != '' && !document.title.includes('127')", timeout=240_000)
         assert page.title() == "refused refused refused"
         mine = browser.new_page()
-        mine.goto(viewer.url)
+        mine.goto(viewer.page.url)
         mine.wait_for_selector("#tj-image")  # the page itself works
         browser.close()
     other.shutdown()

@@ -19,6 +19,7 @@ import torchjoint as tj
 from torchjoint.cli.show import _open_page
 from torchjoint.datasets.files.text_clouds import with_column
 from torchjoint.results.embeddings import Embeddings
+from torchjoint.results.exports import FORMATS
 from torchjoint.results.labelled_file import write_labelled
 from torchjoint.viewer.shared_page import write_page
 from torchjoint.viewer.truth import read_labelled_cloud, with_truth
@@ -92,6 +93,21 @@ def test_labels_of_another_name_can_be_shown(run, tmp_path):
     (tmp_path / "b.csv").write_text((tmp_path / "b.csv").read_text().replace(";5\n", ";4.5\n"))
     with pytest.raises(TypeError, match=r"b\.csv: labels: expected an integer dtype, got torch\.float64"):
         read_labelled_cloud(tmp_path / "b.csv")
+
+
+def test_a_folder_of_segments_can_be_shown(out, run, tmp_path):
+    result = tj.load_result(out)
+    result = replace(result, segment_names={1: "a / chair"})
+    FORMATS["ply"](tmp_path / "parts", result)
+    shown, order = read_labelled_cloud(tmp_path / "parts"), result.points.argsort(stable=True)
+    assert torch.equal(shown.points, result.points[order])
+    assert torch.equal(shown.scene.points, result.scene.points[order])
+    assert torch.allclose(shown.scene.colors, result.scene.colors[order], atol=1 / 255)
+    assert shown.segment_names == {1: "a _ chair"}
+    run("show", tmp_path / "parts", "--static", tmp_path / "page.html")
+    (tmp_path / "parts" / "mine.ply").write_bytes((tmp_path / "parts" / "000000.ply").read_bytes())
+    with pytest.raises(SystemExit, match=r"run\.yaml: missing; expected a folder that `torchjoint segment` wrote"):
+        run("show", tmp_path / "parts", "--static", tmp_path / "page2.html")
 
 
 def test_the_ids_of_a_file_are_shown(tmp_path):
@@ -220,7 +236,7 @@ def test_the_token_is_not_in_the_list_of_processes(monkeypatch, capsys):
     called = []
     monkeypatch.setattr("webbrowser.open", called.append)
     url = "http://127.0.0.1:8080/secret-token/"
-    _open_page(url)
+    _open_page(url, True)
     _open_page(url, in_browser=False)
     (page,) = called
     assert "secret-token" not in page

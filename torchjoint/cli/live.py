@@ -80,7 +80,6 @@ def live(
         check_apart(out, rerun, "--rerun")
     log_file = None if rerun is None else output_file(rerun, overwrite, (scene,), "--rerun")
     config = parameters.config(out)
-    view = growing_view() if show else None
     segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
     logged = nullcontext() if log_file is None else _logged(log_file)
     key, inputs = f"live {scene.absolute()}", (scene, *map(Path, model_checksums(config)))
@@ -91,6 +90,7 @@ def live(
         if not len(recording.frames):
             raise ValueError(f"scene: {scene}: expected frames with depth, got a cloud without frames")
         warn_of_poses(recording.frames, str(scene))
+        view = growing_view() if show else None
         results = _Results(segmenter, recording, view, log)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PoseWarning)  # the segmenter would say it again

@@ -13,7 +13,7 @@ from functools import partial
 from html import escape
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import torch
 import tyro
@@ -30,10 +30,12 @@ from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_direction
 from torchjoint.scene.hierarchy import check_granularity
+from torchjoint.viewer.truth import part_files, read_labelled_cloud, with_truth
 
 if TYPE_CHECKING:
     from torchjoint.viewer.app import Viewer
     from torchjoint.viewer.live import GrowingView, LiveView
+    from torchjoint.viewer.server import Page
 
 
 def show(
@@ -53,8 +55,8 @@ def show(
     Needs `pip install 'torchjoint[viewer]'`. Ctrl-C ends it.
 
     Args:
-        out: folder that `torchjoint segment` wrote; or a file with labels that torchjoint wrote: .ply, .las, .laz,
-            .npz, text with names of columns.
+        out: folder that `torchjoint segment` wrote; or what torchjoint wrote with labels: .ply, .las, .laz, .npz, text
+            with names of columns, a folder with a .ply for each segment.
         static: write this HTML file, which can be shared, instead of opening the page.
         granularity: start with another level than RESULT has, 0 (coarse) to 1 (fine); not with method paper.
         up: upward direction x y z in the coordinates of the cloud; default: from the poses and the largest level plane.
@@ -69,37 +71,47 @@ def show(
     """
     if not is_there(out):
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
-    is_folder = not has_file(out)
     page = None if static is None else output_file(static, overwrite, parts_of(out), "--static")
     if static is not None and static.suffix.lower() not in (".html", ".htm"):  # such as an image of the recording
         raise ValueError(f"--static: expected a name that ends in .html, got {static}")
-    result = _read(out, truth)
-    if up is not None:
-        result = replace(result, scene=replace(result.scene, up=as_direction(torch.tensor(up), "--up")))
     if granularity is not None:
         check_granularity(granularity, "--granularity")
-        if result.hierarchy is None:
-            raise ValueError(f"--granularity: expected a result with levels, got {out} with one")
+    folder = None if has_file(out) or part_files(out) else out
+    if folder is not None:
+        read_origin(folder)  # raises before the page is opened
+    elif truth:
+        raise ValueError("--truth: expected a result's folder, got a cloud with labels")
+    shown = None if page is not None else _page(f"reading {out} ...", host, port, open_browser)
+    result = read_labelled_cloud(out) if folder is None else _read(folder, truth)
+    if up is not None:
+        result = replace(result, scene=replace(result.scene, up=as_direction(torch.tensor(up), "--up")))
+    if granularity is not None and result.hierarchy is None:
+        raise ValueError(f"--granularity: expected a result with levels, got {out} with one")
     if page is not None:
-        _write_static(page, result, out if is_folder else None, granularity)
+        _write_static(page, result, folder, granularity)
     else:
+        from torchjoint.viewer.app import Viewer
+        from torchjoint.viewer.shown import Shown
+
         encoder = None if text_encoder is None else _text_encoder(text_encoder, result)
-        view = {"granularity": granularity, "host": host, "port": port}
-        _serve(result, out if is_folder else None, encoder, open_browser, **view)
+        view = Shown(folder, text_encoder=encoder)
+        serve_until_interrupted(Viewer(result, view, granularity=granularity, page=shown))
 
 
 def live_view() -> LiveView:
     """A page that shows a run from its start."""
     from torchjoint.viewer.live import LiveView
+    from torchjoint.viewer.server import import_viser
 
-    return LiveView(_open_page)
+    import_viser()  # so that an error comes at once, not after an hour of fusing a cloud
+    return LiveView(partial(_page, ""))
 
 
 def growing_view() -> GrowingView:
     """A page for live segmentation."""
     from torchjoint.viewer.live import GrowingView
 
-    return GrowingView(_open_page)
+    return GrowingView(_page("the things come after the first frames ..."))
 
 
 def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, scene: Scene) -> None:
@@ -113,18 +125,8 @@ def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, sce
 
 
 def _read(out: Path, truth: bool) -> Result:
-    if has_file(out):
-        from torchjoint.viewer.truth import read_labelled_cloud
-
-        if truth:
-            raise ValueError("--truth: expected a result's folder, got a file")
-        return read_labelled_cloud(out)
     result = load_result(out, edits=False)
-    if not truth:
-        return result
-    from torchjoint.viewer.truth import with_truth
-
-    return with_truth(result, _scene_of(out))
+    return with_truth(result, _scene_of(out)) if truth else result
 
 
 def _scene_of(out: Path) -> Scene:
@@ -144,17 +146,13 @@ def _write_static(page: Output, result: Result, folder: Path | None, granularity
     say(page.path if shown == len(result.points) else f"{page.path}: {shown} of {len(result.points)} points")
 
 
-def _serve(
-    result: Result, folder: Path | None, encoder: Callable[[str], Tensor] | None, open_browser: bool, **view: Any
-) -> None:
-    from torchjoint.viewer.app import Viewer
-    from torchjoint.viewer.server import is_loopback
-    from torchjoint.viewer.shown import Shown
+def _page(note: str, host: str = "127.0.0.1", port: int = 8080, in_browser: bool = True) -> Page:
+    """Opens a page, which says something before there is something to show."""
+    from torchjoint.viewer.server import Page, is_loopback
 
-    if not is_loopback(view["host"]):
-        say(f"--host {view['host']}: whoever has the address below in this network sees this result, and may change it")
-    on_open = partial(_open_page, in_browser=open_browser)
-    serve_until_interrupted(Viewer(result, Shown(folder, text_encoder=encoder), on_open=on_open, **view))
+    if not is_loopback(host):
+        say(f"--host {host}: whoever has the address below in this network sees this result, and may change it")
+    return Page(partial(_open_page, in_browser=in_browser), host=host, port=port, note=note)
 
 
 def _text_encoder(name: str, result: Result) -> Callable[[str], Tensor]:
@@ -176,7 +174,7 @@ def serve_until_interrupted(viewer: Viewer) -> None:
         say(f"not kept: {lost}")
 
 
-def _open_page(url: str, in_browser: bool = True) -> None:
+def _open_page(url: str, in_browser: bool) -> None:
     say(f"{url}\nCtrl-C ends it", flush=True)
     if in_browser:
         webbrowser.open(_redirect(url).as_uri())

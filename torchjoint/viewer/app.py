@@ -1,7 +1,6 @@
 """The viewer's page: a panel of controls beside the cloud, and the reaction to each click."""
 
 import threading
-import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -20,28 +19,21 @@ from torchjoint.runtime.messages import printable
 from torchjoint.viewer.cloud import CloudView, pick_point
 from torchjoint.viewer.html import COLUMNS, PREFIX, found_html, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.measures import hues_of_keys
-from torchjoint.viewer.model import Model, export_selected
+from torchjoint.viewer.model import Bytes, Model, export_selected
 from torchjoint.viewer.painting import RelationLines, painted, point_colors
 from torchjoint.viewer.panel import RESET, Panel
-from torchjoint.viewer.server import Cameras, Eyes, Viewpoint, add_camera, ray_of, start_server, viewpoint
+from torchjoint.viewer.server import Cameras, Eyes, Page, Viewpoint, add_camera, ray_of, viewpoint
 from torchjoint.viewer.shown import Shown
 
 
 class Viewer:
     """A result in the browser: cloud, images, a table of segments, levels, and corrections by hand.
 
-    It serves a page until :meth:`stop` is called or the program ends.
-
     Args:
         result: the result as on disk, without corrections.
         shown: folder and run of the result; default: neither.
         granularity: level to start with, 0 (coarse) to 1 (fine); None: as on disk, or as corrected.
-        host, port: of the page. With the default host only this machine can open it. If the port is in use, the next
-            free one is used.
-        on_open: called with the page's address as soon as the page answers; the panel may come a second later.
-
-    Attributes:
-        url: address of the page. Who knows it can see and correct the result.
+        page: shows it; default: a new page.
 
     Raises:
         ModuleNotFoundError: viser is not installed.
@@ -54,22 +46,18 @@ class Viewer:
         shown: Shown | None = None,
         *,
         granularity: float | None = None,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        on_open: Callable[[str], object] = lambda url: None,
+        page: Page | None = None,
     ) -> None:
         self._shown = shown or Shown()
         self._saved = self._shown.edits(result, granularity)  # the corrections as they were read or saved last
         self.model = Model(result, self._saved, up_direction(result.scene).numpy())
         self._typed = ""  # the last name that came from a page
         self._lock = threading.RLock()  # viser calls the functions below on several threads
-        self._order, self._can_save, self._has_stopped = "points", True, False
+        self._order, self._can_save = "points", True
         self._made = self._saved.steps  # the corrections after the last action
-        self._workers: list[threading.Thread] = []
-        self.server, self._distance, self.url = start_server(result.scene, self.model.up, host, port)
-        _at_end(weakref.WeakMethod(self.stop))  # later, viser fails to tell that the pages have left
-        self._eyes = Eyes(self.server, self.model.up, self._distance)
-        on_open(self.url)
+        self.page = page or Page()
+        self.server = self.page.server
+        self._eyes = Eyes(self.server, result.scene, self.model.up)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
         self._relations = RelationLines(self.server)
         self._cameras: Cameras | None = None
@@ -95,7 +83,10 @@ class Viewer:
     def replace(self, result: Result) -> None:
         """Shows another result of the same scene. Corrections stay if it has the same superpoints."""
         with self._lock:
-            self.model = self.model.of_result(result)
+            model = self.model.of_result(result)
+            if self._shown.is_running:
+                model.take_names(self.model)
+            self.model = model
             self._draw()
 
     def grow(self, result: Result, shading: Shading, shown: Shown | None = None, hues: Table | None = None) -> None:
@@ -116,22 +107,23 @@ class Viewer:
                 model.measures.hues = hues_of_keys(hues, model.parts.keys)
             model.mode, model.pale, model.shading = self.model.mode, self.model.pale, shading
             model.select(tuple(np.unique(model.table[np.isin(model.measures.hues[model.table], chosen)]).tolist()))
+            model.take_names(self.model)
             self.model = model
             self._cloud.remove()
             self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(model))
             self._cloud.resize(self._panel.size.value)
             self._eyes.show_more(result.scene)
-            if shown is None:
-                self._draw_lists()
-            else:
+            if shown is not None:
                 self._add_panel()
+            self._guarded(self._draw_lists)
         if shown is not None:
             self._work_behind()
 
-    def draw_camera(self, view: Viewpoint, share: float) -> None:
+    def draw_camera(self, view: Viewpoint, share: float, photo: Bytes) -> None:
         """Draws a camera, in the place of the last one; its size is a share of the distance of the first view."""
         with self._lock:
-            add_camera(self.server, "/camera", view, share * self._distance, (230, 90, 0))
+            add_camera(self.server, "/camera", view, share * self._eyes.distance, (230, 90, 0))
+            self._panel.image.content = image_html(photo, "camera")
 
     def open(self, result: Result, shown: Shown) -> None:
         """Shows another result of the same scene with its own corrections, and the controls that it allows.
@@ -141,8 +133,11 @@ class Viewer:
         """
         with self._lock:
             self._shown, self._saved = shown, shown.edits(result)
-            self.model = self.model.of_result(result, self._saved)
+            model = self.model.of_result(result, self._saved)
+            model.take_names(self.model)
+            self.model = model
             self._add_panel(*((self._frame_index(), self._panel.cameras.value) if self._has_frames else ()))
+            self._guarded(self._draw_lists)
         self._work_behind()
 
     def tell(self, note: str) -> None:
@@ -163,10 +158,7 @@ class Viewer:
 
     def stop(self) -> None:
         """Ends the page, after what works behind it."""
-        self._has_stopped = True
-        for worker in self._workers:  # a thread that is in compiled code when Python ends aborts the program
-            worker.join()
-        self.server.stop()
+        self.page.stop()
 
     def _add_panel(self, frame: int = 0, cameras: bool = False) -> None:
         """Builds a new panel, and connects its elements to their actions."""
@@ -199,7 +191,7 @@ class Viewer:
         if panel.parameters:
             panel.compute.on_click(then(self._on_parameters))
         if self._has_frames:
-            seen = self._cameras = self._cameras or Cameras(self.server, self.result.scene, 0.02 * self._distance)
+            seen = self._cameras = self._cameras or Cameras(self.server, self.result.scene, 0.02 * self._eyes.distance)
             seen.mark(frame)
             panel.frame.on_update(then(self._on_frame))
             panel.cameras.on_update(then(lambda: seen.show(panel.cameras.value)))
@@ -225,7 +217,7 @@ class Viewer:
     def _guarded(self, action: Any, *arguments: Any) -> None:
         """Runs an action, one at a time; shows the message of an error on the page."""
         with self._lock:
-            if self._has_stopped:
+            if self.page.has_stopped:
                 return
             try:
                 try:
@@ -256,7 +248,7 @@ class Viewer:
             self._on_hover(client, [*map(float, values)])
         elif kind == "row":
             self._choose(self.model.segment_of_key(int(values[0])), values[1] == "1")
-        elif kind == "image":
+        elif kind == "image" and self._has_frames:
             superpoints = self.model.parts.image(self._frame_index())
             # An edge may give -1.
             column, row = np.clip([*map(int, values[:2])], 0, np.array(superpoints.shape[::-1]) - 1)
@@ -449,29 +441,16 @@ class Viewer:
         model, is_running = self.model, self._shown.is_running
 
         def work() -> None:
-            if model.shading is None and not self._has_stopped:
+            if model.shading is None and not self.page.has_stopped:
                 self._guarded(self._shade, model, Shading(model.result.scene.points, model.up))
-            if not is_running and not self._has_stopped:  # labelling all frames is most of a run's work
+            if not is_running and not self.page.has_stopped:  # labelling all frames is most of a run's work
                 with suppress(ValueError, OSError):  # the page tells of an image that cannot be read where it is drawn
-                    model.measures.read_frames(lambda: self._has_stopped)
+                    model.measures.read_frames(lambda: self.page.has_stopped)
                 self._guarded(self._draw_lists)
 
-        self._workers = [worker for worker in self._workers if worker.is_alive()]
-        self._workers.append(threading.Thread(target=work, daemon=True))
-        self._workers[-1].start()
+        self.page.work(work)
 
     def _shade(self, model: Model, shading: Shading) -> None:
         if len(model.parts.of_point) == len(self.model.parts.of_point):  # else another cloud is shown by now
             self.model.shading = shading
             self._cloud.recolor(point_colors(self.model))
-
-
-def _at_end(method: weakref.WeakMethod[Callable[[], None]]) -> None:
-    """Calls a method when the program ends, if its object still exists."""
-
-    def call() -> None:
-        if (end := method()) is not None:
-            end()
-
-    # Not atexit, which comes when Python has waited for all threads of pools, and no pool can begin another item.
-    threading._register_atexit(call)  # type: ignore[attr-defined]

@@ -1,11 +1,12 @@
 """Shows a run in the viewer before it is finished: updates the labels so far, in a limited share of the time."""
 
+import math
 import time
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,30 +21,23 @@ from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
 from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene import Frame, Scene, Segmentation
+from torchjoint.scene.frame import to_8_bits
 from torchjoint.viewer.app import Viewer
-from torchjoint.viewer.server import import_viser, viewpoint
+from torchjoint.viewer.server import Page, viewpoint
 from torchjoint.viewer.shown import LiveRun, Shown
 
 #: The drawn camera, as a share of the distance from which the cloud is first seen.
 CAMERA = 0.04
+#: Most pixels of a side of its image.
+PHOTO = 640
 
 
-class _LaterPage:
-    """A page that opens later, with the first result.
+class GrowingView:
+    """Shows the results of a :class:`~torchjoint.LiveSegmenter` on a page."""
 
-    Args:
-        on_open: see :class:`~torchjoint.viewer.app.Viewer`.
-        host, port: see :class:`~torchjoint.viewer.app.Viewer`.
-    """
-
-    def __init__(self, on_open: Callable[[str], object] = print, *, host: str = "127.0.0.1", port: int = 8080) -> None:
-        import_viser()  # so that an error comes at once, not after an hour of fusing a cloud
+    def __init__(self, page: Page) -> None:
+        self.page = page
         self.viewer: Viewer | None = None
-        self._open = partial(Viewer, on_open=on_open, host=host, port=port)
-
-
-class GrowingView(_LaterPage):
-    """A page that opens with the first result of a :class:`~torchjoint.LiveSegmenter`; arguments as above."""
 
     def show(self, live: LiveResult, seen: Scene, note: str = "") -> None:
         """Shows another result.
@@ -57,7 +51,7 @@ class GrowingView(_LaterPage):
         scene = Scene(live.cloud.points, colors=live.cloud.colors, up=up)
         result = Result.of(Segmentation(live.labels, ()), scene)
         if self.viewer is None:
-            self.viewer = self._open(result, Shown(is_running=True))
+            self.viewer = Viewer(result, Shown(is_running=True, has_camera=True), page=self.page)
         else:
             self.viewer.grow(result, Shading(scene.points, self.viewer.model.up))
         self.viewer.tell(note)
@@ -70,30 +64,30 @@ class GrowingView(_LaterPage):
             self.viewer.grow(result, shading, Shown(folder), live.ids.numpy())
 
     def camera(self, frame: Frame) -> None:
-        """Draws the camera where it is now."""
+        """Draws the camera where it is now, and shows its image."""
         if self.viewer is not None:
-            self.viewer.draw_camera(viewpoint(frame), CAMERA)
+            image = to_8_bits(frame.image).permute(1, 2, 0).numpy()
+            reduced = image[:: (step := math.ceil(max(frame.size) / PHOTO)), ::step]
+            self.viewer.draw_camera(viewpoint(frame), CAMERA, np.ascontiguousarray(reduced))
 
 
 #: Largest share of a run's time for the labels so far, after the page has opened and shown the first frames.
 SHARE_OF_TIME = 0.1
 
 
-class LiveView(_LaterPage):
+class LiveView:
     """Shows a run in the browser, from before its first frame: call it after each of the segmenter's steps.
 
     It does not change the segmenter, so the result and the checkpoint are the same as without it.
 
     Args:
-        on_open, address: see :class:`~torchjoint.viewer.app.Viewer`; the address is host and port.
+        open_page: opens the page, when there is a cloud to show.
         share: largest share of the run's time for the view.
     """
 
-    def __init__(
-        self, on_open: Callable[[str], object] = print, *, share: float = SHARE_OF_TIME, **address: Any
-    ) -> None:
-        super().__init__(on_open, **address)
-        self._share = share
+    def __init__(self, open_page: Callable[[], Page] = Page, *, share: float = SHARE_OF_TIME) -> None:
+        self._open_page, self._share = open_page, share
+        self.viewer: Viewer | None = None
         self._next, self._labelled = 0.0, 0
         self._names: tuple[str, ...] = ()
 
@@ -115,7 +109,7 @@ class LiveView(_LaterPage):
         result = load_result(folder, edits=False)
         shown = Shown(folder, run)
         if self.viewer is None:
-            self.viewer = self._open(result, shown)
+            self.viewer = Viewer(result, shown, page=self._open_page())
         else:
             self.viewer.open(result, shown)
         return self.viewer
@@ -125,7 +119,8 @@ class LiveView(_LaterPage):
         if self.viewer is None:  # first the cloud in one colour, because labels take seconds
             none = LazySequence(len(scene.frames), lambda index: torch.full(scene.frames[index].size, -1))
             plain = Segmentation(torch.zeros(len(scene.points), dtype=torch.int64), none, names=self._names)
-            self.viewer = self._open(Result.of(plain, scene, segmenter.config), Shown(is_running=True))
+            one = Result.of(plain, scene, segmenter.config)
+            self.viewer = Viewer(one, Shown(is_running=True), page=self._open_page())
         self.viewer.replace(Result.of(labels_so_far(segmenter, scene, self._names), scene, segmenter.config))
         self._labelled = len(segmenter.state.observations)
 

@@ -202,6 +202,14 @@ class Model:
         else:
             self._add(step)
 
+    def take_names(self, before: Model) -> None:
+        """Gives the names of an earlier model to the segments of the same colour that have none."""
+        named = {int(before.measures.hues[segment]): name for segment, name in before.names.items()}
+        for segment in np.unique(self.table).tolist():
+            name = named.get(int(self.measures.hues[segment]))
+            if name and segment not in self.names:
+                self._add(Edit("name", (self._place_of(segment, self.table),), name, self.edits.granularity))
+
     def undo(self) -> str:
         """Undoes the last change, or the last correction of edits.json; says which; "": there is nothing to undo."""
         if not self.edits.steps:

@@ -51,13 +51,16 @@ class Panel:
             self.by_clicks = gui.add_checkbox("Thing from clicks", False, visible=self.level is not None, hint=CLICKS)
             self.keep = gui.add_button("Make it one thing", visible=False, hint="a segment of its own, at every level")
             kinds = ("PLY", "PNG", "COCO") if len(model.result.scene.frames) else ("PLY",)
-            self._add_buttons(gui, shown.folder is not None, not shown.is_running, kinds)
+            self._add_buttons(gui, shown, kinds)
             self.relations = gui.add_checkbox("Relations", False, visible=not shown.is_running, hint=RELATIONS)
         pane = gui.add_panel()  # of its own: it is in view, whatever the panel above shows
         pane.dock_below(gui.main_panel)
         if len(model.result.scene.frames):
             with pane.add_tab("Photo"):
                 self._add_image(gui, len(model.result.scene.frames) - 1, frame, cameras)
+        elif shown.has_camera:
+            with pane.add_tab("Photo"):
+                self.image = gui.add_html("")
         with pane.add_tab("Segments"):
             can_find = shown.text_encoder is not None and model.result.saved_embeddings is not None
             self.words = gui.add_text("Words", "", hint="of a thing, such as: a red chair", visible=can_find)
@@ -81,8 +84,10 @@ class Panel:
         self.stand = gui.add_button("Stand at this camera", color="gray")
         self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
 
-    def _add_buttons(self, gui: Any, can_save: bool, can_export: bool, kinds: tuple[str, ...]) -> None:
-        self.name = gui.add_text("Name", "", hint="of the selected segment", visible=can_save)
+    def _add_buttons(self, gui: Any, shown: Shown, kinds: tuple[str, ...]) -> None:
+        can_save = shown.folder is not None
+        hint = "of the selected segment; the result will have it" if shown.is_running else "of the selected segment"
+        self.name = gui.add_text("Name", "", hint=hint, visible=can_save or shown.is_running)
         self.correct = gui.add_button_group("Correct", ("Join", "Split", "Undo"), visible=can_save, hint=CORRECT)
-        self.export = gui.add_button_group("Export", kinds, visible=can_export, hint=EXPORT)
+        self.export = gui.add_button_group("Export", kinds, hint=EXPORT)
         self.save = gui.add_button("Save the level", visible=can_save, hint=SAVE)

@@ -4,6 +4,9 @@ import io
 import logging
 import secrets
 import socket
+import threading
+import weakref
+from collections.abc import Callable
 from contextlib import redirect_stdout
 from ipaddress import ip_address
 from typing import Any, NamedTuple
@@ -105,12 +108,20 @@ class Eyes:
 
     Args:
         server: viser.ViserServer.
+        scene: the shown scene.
         up: [3] upward direction, unit length.
+
+    Attributes:
         distance: between the viewer and the scene's centre in the first view, metres.
     """
 
-    def __init__(self, server: Any, up: npt.NDArray[np.float64], distance: float) -> None:
-        self._server, self._up, self._distance = server, up, distance
+    def __init__(self, server: Any, scene: Scene, up: npt.NDArray[np.float64]) -> None:
+        self._server, self._up, first = server, up, server.initial_camera
+        server.scene.set_up_direction(tuple(up))
+        first.position, first.look_at, _ = fitted(scene, up, first.fov, 1.5)
+        self.distance = float(np.linalg.norm(first.position - first.look_at))
+        first.near = max(0.01, self.distance / 5000)  # depths have few bits, and are shaded by their differences
+        self._near = first.near
         self._fitted: dict[int, tuple[Any, float]] = {}  # where a page saw the whole cloud, and its aspect
         self._standing: dict[int, Any] = {}  # orientations of pages that stand at a camera
         self._arrived: set[int] = set()  # those of them that have it
@@ -121,14 +132,14 @@ class Eyes:
         position, target, _ = fitted(scene, self._up, fov, client.camera.aspect)
         self._fitted[client.client_id] = position, client.camera.aspect
         with client.atomic():
-            client.camera.up_direction, client.camera.fov = self._up, fov
+            client.camera.up_direction, client.camera.fov, client.camera.near = self._up, fov, self._near
             client.camera.position, client.camera.look_at = position, target
 
     def show_more(self, scene: Scene) -> None:
         """Shows the whole of a cloud that has grown on the pages that nobody has turned."""
         for client in self._server.get_clients().values():
             fitted_at, _ = self._fitted.get(client.client_id, (np.inf, 0.0))
-            if np.abs(fitted_at - client.camera.position).max() < 1e-3 * self._distance:
+            if np.abs(fitted_at - client.camera.position).max() < 1e-3 * self.distance:
                 self.show_all(client, scene)
 
     def stand_at(self, client: Any, view: Viewpoint, photo: Bytes, is_dark: bool) -> None:
@@ -156,7 +167,7 @@ class Eyes:
         """Takes note of where a page looks from now; whether it has left the photo at which it stood."""
         fitted_at, aspect = self._fitted.get(client.client_id, (client.camera.position, 0.0))
         places = np.stack([fitted_at, self._server.initial_camera.position])
-        is_fitted, is_new = np.abs(places - client.camera.position).max(1) < 1e-3 * self._distance
+        is_fitted, is_new = np.abs(places - client.camera.position).max(1) < 1e-3 * self.distance
         stands = self._standing.get(client.client_id)
         # Nobody has turned it; a page may go to the first view of all pages after it was told its own.
         if stands is None and (is_new or (is_fitted and aspect != client.camera.aspect)):
@@ -171,8 +182,9 @@ class Eyes:
 
     def cut_front(self, share: float) -> None:
         """Hides what is nearer than a share of the distance to the far side."""
+        self._near = max(self._server.initial_camera.near, 2 * share * self.distance)
         for client in self._server.get_clients().values():
-            client.camera.near = max(self._server.initial_camera.near, 2 * share * self._distance)
+            client.camera.near = self._near
 
 
 def import_viser() -> Any:
@@ -182,17 +194,63 @@ def import_viser() -> Any:
     return viser
 
 
-def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int) -> tuple[Any, float, str]:
-    """Starts a server of an empty page whose first view is of a scene.
+class Page:
+    """An empty page, which is served until :meth:`stop` is called or the program ends.
 
     Args:
-        scene: the scene that will be shown.
-        up: [3] upward direction, unit length.
-        host, port: of the page; if the port is in use, the next free one is used.
+        on_open: called with the url as soon as the page answers.
+        host, port: of the page. With the default host only this machine can open it. If the port is in use, the next
+            free one is used.
+        note: what the page says before it shows something.
 
-    Returns:
-        a viser.ViserServer, the distance between the viewer and the scene's centre, metres, and the page's address.
+    Attributes:
+        server: the viser.ViserServer.
+        url: its address. Who knows it can see and correct what is shown.
+
+    Raises:
+        ModuleNotFoundError: viser is not installed.
     """
+
+    def __init__(
+        self,
+        on_open: Callable[[str], object] = lambda url: None,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        note: str = "",
+    ) -> None:
+        self.server, self.url = _start_server(host, port)
+        self._workers: list[threading.Thread] = []
+        self.has_stopped = False
+        # Not atexit, which comes when Python has waited for all threads of pools, and no pool can begin another item.
+        # Later, viser fails to tell that the pages have left.
+        threading._register_atexit(_end, weakref.ref(self))  # type: ignore[attr-defined]
+        self.server.gui.add_markdown(note)
+        on_open(self.url)
+
+    def work(self, action: Callable[[], object]) -> None:
+        """Does something on a thread of its own, for which the end of the page waits."""
+        self._workers = [worker for worker in self._workers if worker.is_alive()]
+        self._workers.append(threading.Thread(target=action, daemon=True))
+        self._workers[-1].start()
+
+    def stop(self) -> None:
+        """Ends the page, after what works behind it."""
+        if not self.has_stopped:
+            self.has_stopped = True
+            for worker in self._workers:  # a thread that is in compiled code when Python ends aborts the program
+                worker.join()
+            with redirect_stdout(io.StringIO()):  # viser says that it stops
+                self.server.stop()
+
+
+def _end(page: weakref.ref[Page]) -> None:
+    if (alive := page()) is not None:
+        alive.stop()
+
+
+def _start_server(host: str, port: int) -> tuple[Any, str]:
+    """Starts a viser.ViserServer; its address has a random part."""
     if not 0 < port < 1 << 16:
         raise ValueError(f"port: expected 1 to 65535, got {port}")
     viser, token = import_viser(), secrets.token_urlsafe(24)
@@ -210,13 +268,8 @@ def start_server(scene: Scene, up: npt.NDArray[np.float64], host: str, port: int
     if not guards:
         server.stop()
         raise RuntimeError(f"the viewer: expected viser 1.1, got {viser.__version__}, whose page is open to all")
-    server.scene.set_up_direction(tuple(up))
-    view = fitted(scene, up, server.initial_camera.fov, 1.5)
-    server.initial_camera.position, server.initial_camera.look_at = view.position, view.target
-    distance = float(np.linalg.norm(view.position - view.target))
-    server.initial_camera.near = max(0.01, distance / 5000)  # depths have few bits, and are shaded by their differences
     shown = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, f"[{host}]" if ":" in host else host)
-    return server, distance, f"http://{shown}:{server.get_port()}/{token}/"
+    return server, f"http://{shown}:{server.get_port()}/{token}/"
 
 
 def is_loopback(host: str) -> bool:

@@ -61,6 +61,7 @@ class Shown:
     #: the run that made the result, if it is still in memory; its parameters can then be changed on the page
     run: LiveRun | None = None
     is_running: bool = False  #: whether the run is not finished, so that segments will change
+    has_camera: bool = False  #: whether a camera moves through a cloud that grows
     #: makes a vector [D] of words, as the encoder of the result's embeddings made them of images
     text_encoder: Callable[[str], Tensor] | None = None
 

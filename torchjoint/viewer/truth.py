@@ -1,5 +1,6 @@
 """The viewer's layers that are not of a result: a scene's truth, and superpoints of a file."""
 
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,8 @@ from torchjoint.transforms import transfer_labels
 
 #: Names of labels in a file. If it has several, the last one, which is the newest, is shown.
 NAMES = "label", "superpoint"
+#: The name of the file of a segment.
+PART = re.compile(r"\d{6}(-.*)?", re.DOTALL)
 #: Largest distance between a point of a result and that of its scene, metres.
 NEAR = 1e-3
 
@@ -52,7 +55,9 @@ def with_truth(result: Result, scene: Scene) -> Result:
 
 
 def read_labelled_cloud(path: Path) -> Result:
-    """Reads a .ply, .las, .laz or text with `label` or `superpoint`, or a .npz with points and labels."""
+    """Reads a .ply, .las, .laz or text with `label` or `superpoint`, a .npz with points and labels, or parts."""
+    if files := part_files(path):
+        return _of_parts(files)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", KEPT)
         cloud, labels = read_cloud_file(path, None, "keep"), _labels(path)
@@ -67,6 +72,23 @@ def read_labelled_cloud(path: Path) -> Result:
     ids[ids < 0] = ids.max() + 1  # what has no label is the last thing
     labels_of = ids if int(ids.max()) <= len(ids) else ids.unique(return_inverse=True)[1]
     return Result.of(Segmentation(labels_of, ()), scene)
+
+
+def part_files(folder: Path) -> list[Path]:
+    """The .ply of each segment that `label` and `export` write into a folder; none of another folder."""
+    files = sorted(folder.glob("*.ply"))
+    return files if all(PART.fullmatch(file.stem) for file in files) else []
+
+
+def _of_parts(files: list[Path]) -> Result:
+    clouds = [read_cloud_file(file, None, "keep") for file in files]
+    ids = torch.tensor([int(file.stem[:6]) for file in files])
+    labels = ids.repeat_interleave(torch.tensor([len(cloud.points) for cloud in clouds]))
+    colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
+    points = torch.cat([cloud.points for cloud in clouds])
+    scene = Scene(points, colors=torch.cat(colors) if len(colors) == len(files) else None, name=files[0].parent.name)
+    names = {one: file.stem[7:] for one, file in zip(ids.tolist(), files, strict=True) if file.stem[7:]}
+    return replace(Result.of(Segmentation(labels, ()), scene), segment_names=names)
 
 
 def _labels(path: Path) -> npt.NDArray[Any] | None:
