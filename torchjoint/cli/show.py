@@ -71,15 +71,14 @@ def show(
     """
     if not is_there(out):
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
-    page = None if static is None else output_file(static, overwrite, parts_of(out), "--static")
+    folder = None if has_file(out) or part_files(out) else out
+    inputs = (out,) if folder is None else parts_of(folder)  # raises of another folder before the page is opened
+    page = None if static is None else output_file(static, overwrite, inputs, "--static")
     if static is not None and static.suffix.lower() not in (".html", ".htm"):  # such as an image of the recording
         raise ValueError(f"--static: expected a name that ends in .html, got {static}")
     if granularity is not None:
         check_granularity(granularity, "--granularity")
-    folder = None if has_file(out) or part_files(out) else out
-    if folder is not None:
-        read_origin(folder)  # raises before the page is opened
-    elif truth:
+    if truth and folder is None:
         raise ValueError("--truth: expected a result's folder, got a cloud with labels")
     shown = None if page is not None else _page(f"reading {out} ...", host, port, open_browser)
     result = read_labelled_cloud(out) if folder is None else _read(folder, truth)
