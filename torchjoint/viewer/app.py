@@ -80,65 +80,57 @@ class Viewer:
         """The folder in which corrections are saved; None: they cannot be saved."""
         return self._shown.folder
 
-    def replace(self, result: Result) -> None:
-        """Shows another result of the same scene. Corrections stay if it has the same superpoints."""
+    def replace(self, result: Result, shown: Shown | None = None) -> None:
+        """Shows another result of the same scene.
+
+        Args:
+            result: the other result. Corrections stay if it has the same superpoints, and names while a run goes on.
+            shown: its folder and run, if it is the last one: with their corrections, and the controls that they allow.
+
+        Raises:
+            ValueError: edits.json is damaged, or belongs to another result.
+        """
         with self._lock:
-            model = self.model.of_result(result)
-            if self._shown.is_running:
-                model.take_names(self.model)
-            self.model = model
-            self._draw()
+            edits = None if shown is None else shown.edits(result)
+            self._show(self.model.of_result(result, edits), shown)
 
     def grow(self, result: Result, shading: Shading, shown: Shown | None = None, hues: Table | None = None) -> None:
-        """Shows a result with another cloud; what is selected stays so, by the colours of the segments.
+        """Shows a result with another cloud; what is selected or named stays so, by the colours of the segments.
 
         Args:
             result: the other result.
             shading: of its points.
-            shown: if it is the last one, for the controls that it allows.
+            shown: as of :meth:`replace`.
             hues: [S] numbers of the colours of its segments; default: their own numbers.
         """
         with self._lock:
-            if shown is not None:
-                self._shown, self._saved = shown, shown.edits(result)
             chosen = self.model.measures.hues[[*self.model.selected]]
-            model = Model(result, self._saved if shown else self._shown.edits(result), self.model.up)
+            model = Model(result, (shown or self._shown).edits(result), self.model.up)
             if hues is not None:
                 model.measures.hues = hues_of_keys(hues, model.parts.keys)
             model.mode, model.pale, model.shading = self.model.mode, self.model.pale, shading
             model.select(tuple(np.unique(model.table[np.isin(model.measures.hues[model.table], chosen)]).tolist()))
-            model.take_names(self.model)
-            self.model = model
             self._cloud.remove()
             self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(model))
-            self._cloud.resize(self._panel.size.value)
             self._eyes.show_more(result.scene)
-            if shown is not None:
-                self._add_panel()
-            self._guarded(self._draw_lists)
+            self._show(model, shown)
+
+    def _show(self, model: Model, shown: Shown | None) -> None:
+        if self._shown.is_running:
+            model.take_names(self.model)
+        kept = (self._frame_index(), self._panel.cameras.value) if self._has_frames else ()
+        self.model = model
         if shown is not None:
+            self._shown, self._saved = shown, shown.edits(model.result)
+            self._add_panel(*kept)
             self._work_behind()
+        self._guarded(self._draw)
 
     def draw_camera(self, view: Viewpoint, share: float, photo: Bytes) -> None:
         """Draws a camera, in the place of the last one; its size is a share of the distance of the first view."""
         with self._lock:
             add_camera(self.server, "/camera", view, share * self._eyes.distance, (230, 90, 0))
             self._panel.image.content = image_html(photo, "camera")
-
-    def open(self, result: Result, shown: Shown) -> None:
-        """Shows another result of the same scene with its own corrections, and the controls that it allows.
-
-        Raises:
-            ValueError: edits.json is damaged, or belongs to another result.
-        """
-        with self._lock:
-            self._shown, self._saved = shown, shown.edits(result)
-            model = self.model.of_result(result, self._saved)
-            model.take_names(self.model)
-            self.model = model
-            self._add_panel(*((self._frame_index(), self._panel.cameras.value) if self._has_frames else ()))
-            self._guarded(self._draw_lists)
-        self._work_behind()
 
     def tell(self, note: str) -> None:
         """Writes a line at the top of the panel of a run that is not finished."""

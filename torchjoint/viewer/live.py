@@ -111,7 +111,7 @@ class LiveView:
         if self.viewer is None:
             self.viewer = Viewer(result, shown, page=self._open_page())
         else:
-            self.viewer.open(result, shown)
+            self.viewer.replace(result, shown)
         return self.viewer
 
     def _show(self, segmenter: JointSegmenter, scene: Scene) -> None:

@@ -212,12 +212,7 @@ class Page:
     """
 
     def __init__(
-        self,
-        on_open: Callable[[str], object] = lambda url: None,
-        *,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        note: str = "",
+        self, on_open: Callable[[str], object] = str, *, host: str = "127.0.0.1", port: int = 8080, note: str = ""
     ) -> None:
         self.server, self.url = _start_server(host, port)
         self._workers: list[threading.Thread] = []
