@@ -42,7 +42,7 @@ exclude_patterns = [".*", "build", "configs", "dist", "out*", "tests", "torchjoi
 
 html_theme = "furo"
 html_title = f"torchjoint {release}"
-html_static_path, html_css_files = ["static"], ["phone.css"]
+html_static_path, html_css_files, html_js_files = ["static"], ["phone.css"], ["phone.js"]
 html_extra_path = ["extra"]  # index.html, which leads to docs/index.html
 templates_path = [str(Path(__file__).with_name("_templates"))]
 

@@ -109,7 +109,7 @@ def viewer(only_viewer, tab):
     with only_viewer._lock:
         only_viewer.model = Model(result, shown.edits(result), only_viewer.model.up)
         only_viewer._panel.frame.value, only_viewer._panel.cameras.value = 0, False
-        only_viewer.open(result, shown)
+        only_viewer.replace(result, shown)
     for worker in only_viewer.page._workers:
         worker.join()
     return only_viewer
@@ -425,7 +425,7 @@ def test_words_find_things(tab, out, tmp_path):
     assert page.inner_text("#tj-found").splitlines()[:2] == ["0.89 segment 3", "0.45 segment 5"]
     page.click('#tj-found [data-found="5"]')
     wait(lambda: "segment 5:" in panel(page))
-    viewer.open(viewer.result, Shown(folder))  # without an encoder
+    viewer.replace(viewer.result, Shown(folder))  # without an encoder
     wait(lambda: page.get_by_role("button", name="Find the words").count() == 0)
     wait(lambda: "seen in" in panel(page))  # nothing works any more
     viewer.stop()
