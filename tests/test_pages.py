@@ -82,6 +82,7 @@ def world(tmp_path_factory, scene_of):
     shutil.move(folder / "kitti" / "training", folder / "training")
     shutil.copy(samples.write("ros_one", folder / "ros"), folder / "walk.bag")
     (folder / "bags").mkdir()
+    samples.write("vggt", folder / "room")
     shutil.copy(folder / "walk.bag", folder / "bags" / "one.bag")
     (folder / "words.py").write_text("def encode(words): ...\n")
     return folder
