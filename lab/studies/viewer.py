@@ -40,7 +40,8 @@ addEventListener("DOMContentLoaded", () => {
     <path d="M0 0v12l3-3 2.5 5.5 2-1L5 8h4z" fill="#000" stroke="#fff" stroke-width=".8"/></svg>`;
   document.body.append(arrow);
   const style = document.createElement("style");
-  style.textContent = ".mantine-Tooltip-tooltip { display: none }"; // it would hide the cloud
+  // They would hide the cloud.
+  style.textContent = ".mantine-Tooltip-tooltip, .mantine-Notifications-root { display: none !important }";
   document.head.append(style);
   addEventListener("pointermove", (event) => {
     arrow.style.left = `${event.clientX}px`;
@@ -105,8 +106,6 @@ def play(page: Any) -> Film:
     film.go_to(page.get_by_role("button", name="PLY"))
     with page.expect_download():
         film.click()
-    page.wait_for_timeout(1500)
-    page.locator(".mantine-Notification-closeButton").first.evaluate("e => e.click()")  # "comes"; "received" stays
     film.show(2500, wait=1000)
     return film
 
@@ -124,7 +123,7 @@ def draw_clicks(page: Any) -> None:
         page.wait_for_timeout(1500)
     page.keyboard.up("Shift")
     page.mouse.move(890, 400)
-    page.wait_for_timeout(6000)  # notes close
+    page.wait_for_timeout(1000)
     Image.open(io.BytesIO(page.screenshot())).convert("RGB").save(DOCS / "clicks.jpg", quality=85)
 
 
@@ -138,9 +137,6 @@ def draw(out: Path) -> None:
         page.goto(viewer.page.url)
         page.wait_for_selector("#tj-image")
         page.wait_for_timeout(6000)
-        for note in page.locator(".mantine-Notification-closeButton").all():  # there is no GPU
-            note.click()
-        page.wait_for_timeout(1000)
         film = play(page)
         draw_clicks(page)
         browser.close()

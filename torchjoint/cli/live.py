@@ -60,8 +60,8 @@ def live(
             dropped. Default: all frames, as fast as possible.
         every: compute the things after so many frames, besides after the last one; 0: only then, with --show one time
             after the other. It takes seconds, while frames go on.
-        show: open a page in the browser in which the things appear, keep their colours, and can be clicked; at the end
-            it shows OUT, whose things can be named and exported.
+        show: open a page in the browser in which the things appear, keep their colours, and can be clicked, named and
+            exported; at the end it shows OUT, which has these names.
         rerun: write this file, too, which the viewer of Rerun plays: things, camera, images, changes. Needs
             `pip install 'torchjoint[rerun]'`.
         voxel_size: metres, the distance of the points.
