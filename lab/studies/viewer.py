@@ -1,4 +1,4 @@
-"""Draws docs/viewer.webp and clicks.jpg, the viewer at work on the demo: `python lab/studies/viewer.py` (two minutes).
+"""Draws docs/viewer.webp, clicks.jpg and live.jpg, the viewer at work on the demo: `python lab/studies/viewer.py`.
 
 A browser of the system (Chromium, by Playwright) clicks in the photo, turns the cloud, names the thing and exports it.
 """
@@ -17,7 +17,10 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 import torchjoint as tj
+from torchjoint.cli.demo import RECORDING
+from torchjoint.results.folder import write_result
 from torchjoint.viewer.app import Viewer
+from torchjoint.viewer.live import GrowingView
 from torchjoint.viewer.server import Page
 from torchjoint.viewer.shown import Shown
 
@@ -29,6 +32,8 @@ FLAGS = ["--enable-unsafe-swiftshader", "--use-angle=swiftshader", "--no-sandbox
 PAGE, SIZE = (900, 660), (800, 587)
 #: Where the thing is in the photo, in shares of its width and height; and its name.
 PLACE, NAME = (0.24, 0.87), "chair"
+#: Where the thing is in the page of a live run.
+THING = (418, 412)
 #: Where a click says "this, too", twice, and where "not this", in pixels of the page.
 CLICKS = (290, 250), (385, 245), (260, 165)
 #: A screenshot has no mouse: an arrow that follows it.
@@ -148,11 +153,45 @@ def draw(out: Path) -> None:
     print(f"{picture.name}: {len(film.frames)} frames, {seconds:.1f} seconds, {size:.2f} MB")
 
 
+def draw_live(work: Path) -> None:
+    """Writes the page of a live run, in the middle and at the end: two screenshots side by side."""
+    frames = tj.load_scene(RECORDING, fuse=False).frames
+    view, segmenter, shots = GrowingView(Page(port=8941)), tj.LiveSegmenter(), []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=FLAGS)
+        page = browser.new_page(viewport={"width": 965, "height": 600})
+        page.add_init_script(ARROW)
+        page.goto(view.page.url)
+        for count in (len(frames) // 2, len(frames)):
+            segmenter.update(frames[len(segmenter.names) : count])
+            result = segmenter.result()
+            seen = tj.Scene(result.cloud.points, [*frames[:count]], result.cloud.colors)
+            view.show(result, seen, f"after {count} frames: {len(result.ids)} things")
+            view.camera(frames[count - 1])
+            if count == len(frames):
+                write_result(work, seen, result.segmentation, segmenter.config, "live")
+                view.finish(work, result)
+            page.wait_for_timeout(8000)
+            if not shots:
+                page.mouse.click(*THING)
+                page.wait_for_timeout(2000)
+                page.locator("xpath=//*[text()='Name']/following::input[1]").fill(NAME)
+                page.wait_for_timeout(3000)
+            shots.append(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
+        browser.close()
+    view.viewer.stop()
+    both = Image.new("RGB", (2 * shots[0].width, shots[0].height))
+    for place, shot in enumerate(shots):
+        both.paste(shot, (place * shot.width, 0))
+    both.save(DOCS / "live.jpg", quality=85)
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as work:
         out = Path(work, "demo")
         subprocess.run([sys.executable, "-m", "torchjoint", "demo", "-o", str(out)], check=True)
         draw(out)
+        draw_live(Path(work))
 
 
 if __name__ == "__main__":
