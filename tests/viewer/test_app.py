@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 import warnings
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -16,7 +17,6 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.cli.show import serve_until_interrupted
 from torchjoint.results.edits import Edit, read_edits
 from torchjoint.viewer.shown import Shown
 
@@ -25,7 +25,7 @@ from msgspec import msgpack  # noqa: E402 (packages that viser needs)
 from websockets.sync.client import connect  # noqa: E402
 
 from torchjoint.viewer import app, live  # noqa: E402
-from torchjoint.viewer.server import Page  # noqa: E402
+from torchjoint.viewer.server import Page, _end  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 
@@ -293,23 +293,24 @@ def test_a_page_that_closes_at_a_photo_leaves_no_small_points(out):
     viewer.stop()
 
 
-def test_what_is_not_kept_is_told_when_the_page_ends(out, tmp_path, monkeypatch, capsys):
+def test_what_is_not_kept_is_told_when_the_program_ends(out, tmp_path, capsys):
     folder = shutil.copytree(out, tmp_path / "out")
     viewer = opened(folder, 8990)
-    monkeypatch.setattr(viewer.server, "sleep_forever", lambda: None)
-    serve_until_interrupted(viewer)
-    assert capsys.readouterr().out == ""
+    assert viewer.not_kept() == ""
     viewer.model.set_granularity(0.7)
-    serve_until_interrupted(viewer)
-    assert capsys.readouterr().out == "not kept: level 0.7, which Save the level keeps\n"
+    assert viewer.not_kept() == "level 0.7, which Save the level keeps"
     viewer._guarded(viewer._on_save)
-    serve_until_interrupted(viewer)
-    assert capsys.readouterr().out == ""
+    assert viewer.not_kept() == ""
     viewer._can_save = False  # other parameters
     viewer._guarded(viewer._change, lambda: (viewer.model.select((0,)), viewer.model.name("sofa")))
-    serve_until_interrupted(viewer)
+    _end(weakref.ref(viewer.page))
     assert capsys.readouterr().out == "not kept: corrections after those in edits.json\n"
-    viewer.stop()
+    running = app.Viewer(viewer.result, Shown(is_running=True), page=Page(port=8990))
+    running._guarded(running._change, lambda: (running.model.select((0,)), running.model.name("sofa")))
+    _end(weakref.ref(running.page))
+    assert capsys.readouterr().out == "not kept: names of a run that has not ended; its result would have had them\n"
+    _end(weakref.ref(running.page))
+    assert capsys.readouterr().out == ""
 
 
 def test_without_images_there_are_no_masks_to_export(out):

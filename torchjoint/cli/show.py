@@ -169,8 +169,6 @@ def serve_until_interrupted(viewer: Viewer) -> None:
     """Serves a page until the program is interrupted."""
     with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
         viewer.wait()
-    if lost := viewer.not_kept():
-        say(f"not kept: {lost}")
 
 
 def _open_page(url: str, in_browser: bool) -> None:

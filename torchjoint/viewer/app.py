@@ -56,7 +56,7 @@ class Viewer:
         self._order, self._can_save = "points", True
         self._made = self._saved.steps  # the corrections after the last action
         self.page = page or Page()
-        self.server = self.page.server
+        self.server, self.page.not_kept = self.page.server, self.not_kept
         self._eyes = Eyes(self.server, result.scene, self.model.up)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
         self._relations = RelationLines(self.server)
@@ -141,7 +141,8 @@ class Viewer:
         """What the page has and edits.json has not, in words; "": nothing."""
         now, kept = self.model.edits, self._saved
         if now.steps != kept.steps:
-            return "corrections after those in edits.json"
+            running = "names of a run that has not ended; its result would have had them"
+            return running if self._shown.is_running else "corrections after those in edits.json"
         return f"level {now.granularity}, which Save the level keeps" if now.granularity != kept.granularity else ""
 
     def wait(self) -> None:

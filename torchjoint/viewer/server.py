@@ -19,7 +19,7 @@ from PIL import Image, ImageOps
 from scipy.spatial.transform import Rotation
 
 from torchjoint.results.upright import fitted
-from torchjoint.runtime.messages import needed_for
+from torchjoint.runtime.messages import needed_for, say
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.frame import camera_center
 from torchjoint.scene.scene import evenly_spaced_indices
@@ -206,6 +206,7 @@ class Page:
     Attributes:
         server: the viser.ViserServer.
         url: its address. Who knows it can see and correct what is shown.
+        not_kept: says what would be lost if the program ended now; "": nothing.
 
     Raises:
         ModuleNotFoundError: viser is not installed.
@@ -217,6 +218,7 @@ class Page:
         self.server, self.url = _start_server(host, port)
         self._workers: list[threading.Thread] = []
         self.has_stopped = False
+        self.not_kept: Callable[[], str] = str
         # Not atexit, which comes when Python has waited for all threads of pools, and no pool can begin another item.
         # Later, viser fails to tell that the pages have left.
         threading._register_atexit(_end, weakref.ref(self))  # type: ignore[attr-defined]
@@ -240,7 +242,9 @@ class Page:
 
 
 def _end(page: weakref.ref[Page]) -> None:
-    if (alive := page()) is not None:
+    if (alive := page()) is not None and not alive.has_stopped:
+        if lost := alive.not_kept():
+            say(f"not kept: {lost}")
         alive.stop()
 
 
