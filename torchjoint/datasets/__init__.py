@@ -121,7 +121,7 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
     found = _find_scenes(path)
     if not found:
         told = f"scene: {path} is of no known format: it {_content(path)}.{_cloud_inside(path)} The most similar one"
-        raise ValueError(f"{told} needs {_nearest(path)}. `torchjoint formats` lists all; the plain folder is easiest")
+        raise ValueError(f"{told} needs {_nearest(path)}. `torchjoint formats` lists all; own frames: plain folder")
     return found
 
 
