@@ -80,8 +80,7 @@ class AddSuperpoints:
 
     def __call__(self, sample: Sample) -> Sample:
         """A shallow copy of the sample with the labels; the copy shares the sample's tensors."""
-        points = _get(sample, self.points)
-        if points is None:
+        if (points := _get(sample, self.points)) is None:
             raise KeyError(f"{self.points}: expected the points of the sample under this name, got {_names(sample)}")
         to = self.to or ("superpoints_batch" if hasattr(sample, "__inc__") else "superpoints")
         if _get(sample, to) is not None:
@@ -165,5 +164,6 @@ def _get(sample: Any, name: str) -> Any:
 
 
 def _names(sample: Any) -> str:
-    names = sample if isinstance(sample, Mapping) else getattr(sample, "__dict__", {})
+    own = getattr(sample, "__dict__", {})
+    names = sample if isinstance(sample, Mapping) else getattr(sample, "to_dict", lambda: own)()  # torch_geometric's
     return f"{type(sample).__name__} with {', '.join(map(str, names))}"

@@ -29,7 +29,8 @@ def edits(
 
     Args:
         action: import.
-        result: folder that `torchjoint segment` wrote, from which the file was exported, at its own level.
+        result: folder that `torchjoint segment` wrote, from which the file was exported, at its own level and without
+            --only-masked: boxes that a file leaves out count as deleted.
         file: .json of labelCloud (centroid_abs); .json of Segments.ai, a label of points or cuboids; .json of CVAT
             (annotations/default.json of format Datumaro 3D); .txt of OpenPCDet's custom data sets; or .csv of `export`,
             with names that you have filled in (an empty one changes nothing; the viewer removes names).

@@ -40,7 +40,7 @@ class Command(NamedTuple):
     """One command: the function of its name, with _ for -, in the module of this name."""
 
     help: str  #: what it does, in one line
-    example: str = ""  #: arguments of a common call
+    example: str  #: arguments of a common call
     module: str = ""  #: the function's module, if it has another name
 
 
@@ -114,8 +114,7 @@ def _call(function: Callable[..., None], program: str, arguments: list[str], exa
     _name_values(function)
     if {"-h", "--help"} & set(arguments):  # tyro would leave out what stands before it: the `import` of `edits import`
         arguments = ["--help"]
-    text = cleandoc(function.__doc__ or "").partition("\n\nArgs:")[0]
-    text = f"Example: {program} {example}\n\n{text}" if example else text
+    text = f"Example: {program} {example}\n\n" + cleandoc(function.__doc__ or "").partition("\n\nArgs:")[0]
     tyro.cli(function, prog=program, args=arguments, description=text, config=(tyro.conf.FlagCreatePairsOff,))
 
 
@@ -172,8 +171,8 @@ DESCRIPTION = """\
 Examples: torchjoint demo --show
           torchjoint segment my_recording -o result && torchjoint show result
 
-Joint segmentation of a point cloud and its images. The default needs no choice. --preset takes default, paper, or a
-YAML file; that of superpoints takes default, scan, segmentator, or a YAML file."""
+Joint segmentation of a point cloud and its images. The default needs no choice. --preset takes default, paper,
+scan, or a YAML file; that of superpoints takes default, scan, segmentator, or a YAML file."""
 
 INTERRUPTED = "`segment` and `batch` resume when they are started again"
 

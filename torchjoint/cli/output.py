@@ -59,7 +59,8 @@ def at_level(result: Path, loaded: Result, granularity: float | None) -> Result:
 def summarize(result: Segmentation, out: Path) -> None:
     """Prints the numbers of points, segments and images, the seconds of the run, and the written files."""
     _, parts = read_record(out)
-    say(f"{len(result.points)} points in {result.num_point_segments} segments, {len(result.images)} images")
+    images, of_segments = len(result.images), f"{len(result.points)} points in {result.num_point_segments} segment"
+    say(f"{of_segments}{'s' * (result.num_point_segments != 1)}, {images} image{'s' * (images != 1)}")
     say(f"{sum(parts.values()):.1f} seconds: {_listed(parts)}")
     say(f"segmenting, added up over threads: {_listed(result.seconds)}")
     if (masks := count_masks(out)) is not None:

@@ -3,6 +3,7 @@
 import sys
 from contextlib import nullcontext
 from pathlib import Path
+from shlex import join
 from typing import Any, Literal
 
 import tyro
@@ -54,15 +55,14 @@ def segment(
     """
     out, view = out or Path(f"{scene.resolve().stem}-result"), live_view() if show else None
     with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
-        of_masks = {"masks": masks, "without_masks": without_masks}
-        of_run = {"overwrite": overwrite, "memory": memory, "engine": workers, "watch": view}
-        segmented = segmented_and_told(scene, out, parameters, reading.options(), **of_masks, **of_run)
+        more = {"masks": masks, "without_masks": without_masks, "overwrite": overwrite, "memory": memory}
+        segmented = segmented_and_told(scene, out, parameters, reading.options(), engine=workers, watch=view, **more)
     if segmented is not None:
         show_result(out, view, segmented.segmenter, segmented.scene)
         labelled = ".ply", *las.SUFFIXES, *text_clouds.SUFFIXES
         file = scene if scene.suffix.lower() in labelled else next(out.glob("cloud-*mm.ply"), None)
         if view is None and file is not None:
-            say(f"torchjoint label {out} {file} -o labelled{file.suffix}: its labels in that file")
+            say(f"torchjoint label {join(map(str, (out, file)))} -o labelled{file.suffix}: its labels in that file")
 
 
 def segmented_and_told(

@@ -120,10 +120,8 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
         raise FileNotFoundError(f"scenes: {path} does not exist")
     found = _find_scenes(path)
     if not found:
-        raise ValueError(
-            f"scene: {path} is of no known format: it {_content(path)}.{_cloud_inside(path)} The most similar one "
-            f"needs {_nearest(path)}. `torchjoint formats` lists all"
-        )
+        told = f"scene: {path} is of no known format: it {_content(path)}.{_cloud_inside(path)} The most similar one"
+        raise ValueError(f"{told} needs {_nearest(path)}. `torchjoint formats` lists all; own frames: plain folder")
     return found
 
 

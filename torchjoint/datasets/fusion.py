@@ -218,7 +218,7 @@ def warn_of_poses(frames: Sequence[Frame], name: str = "frames") -> bool:
 def _tell(doubts: Mapping[str, Any], name: str) -> None:
     for kind in (PoseWarning, PoseDoubt):
         if kind.__name__ in doubts:
-            warnings.warn(f"{name}: {doubts[kind.__name__]}", kind, stacklevel=4)
+            warnings.warn(f"{name}: {doubts[kind.__name__]}", kind, stacklevel=5)
 
 
 @one_thread_per_operation()

@@ -69,7 +69,7 @@ def _pixels(annotation: Mapping[str, Any], size: tuple[int, int], name: str) -> 
 
 def _score(annotation: Mapping[str, Any], name: str) -> float:
     if not isinstance(annotation, Mapping) or "segmentation" not in annotation:
-        raise ValueError(f"{name}: expected a dict with segmentation, got {type(annotation).__name__}")
+        raise ValueError(f"{name}: expected a dict with segmentation, got {str(annotation)[:60]}")
     score = annotation.get("score", 1.0)
     if isinstance(score, bool) or not isinstance(score, (int, float)):
         raise TypeError(f"{name}'s score: expected a number, got {score!r}")

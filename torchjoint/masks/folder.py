@@ -121,7 +121,7 @@ def _read_npz(path: Path) -> Masks:
     if unread := ", ".join(sorted(set(arrays) - {"masks", "scores", "names"})):
         warnings.warn(f"masks in .npz: expected masks, scores and names; not read: {unread}", stacklevel=2)
     masks, scores, names = arrays["masks"], arrays.get("scores"), tuple(map(str, arrays.get("names", ())))
-    if masks.ndim != 3:
+    if masks.ndim < 3:
         return replace(from_labels(masks, scores), names=names)
     each = (pixels_of(mask, None, f"masks[{index}]") for index, mask in enumerate(masks))
     of_masks = torch.ones(len(masks)) if scores is None else as_tensor(scores, "scores").float()

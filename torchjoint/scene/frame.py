@@ -107,7 +107,7 @@ class Frame:
             if isinstance(self.depth, Tensor) and not self.depth.dtype.is_floating_point:
                 told = f"expected metres as float32, got {self.depth.dtype}; is it in millimetres?"
                 raise TypeError(f"{self._called('depth')}: {told}")
-            depth = as_float(self.depth, self._called("depth"), torch.float32).clone()
+            depth = as_float(self.depth, f"{self._called('depth')} (metres, 0 = unknown)", torch.float32).clone()
             check_shape(depth, self.size, self._called("depth"))
             if depth.min() < 0 and depth.max() <= 0:  # of a camera that looks along -z
                 raise ValueError(f"{self._called('depth')}: expected metres above 0 (0 = unknown), got none")

@@ -102,9 +102,8 @@ class Segmentation:
     def __repr__(self) -> str:
         levels = ", all levels" if self.hierarchy is not None else ""
         count = int((torch.bincount(self.points.clamp(min=-1) + 1)[1:] > 0).sum())  # after corrections less than ids
-        return (
-            f"{type(self).__name__}({len(self.points)} points in {count} segments, {len(self.images)} images{levels})"
-        )
+        told = (f"{n} {thing}{'s' * (n != 1)}" for n, thing in ((count, "segment"), (len(self.images), "image")))
+        return f"{type(self).__name__}({len(self.points)} points in {', '.join(told)}{levels})"
 
     @property
     def num_point_segments(self) -> int:

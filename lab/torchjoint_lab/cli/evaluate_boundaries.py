@@ -46,8 +46,8 @@ def evaluate_boundaries(
         split: part of the data set.
         thresholds: number of thresholds; the protocol uses 99, fewer are faster.
         multi_scale: also detect at half and at twice the image size (structured forests only).
-        nms: apply non-maximum suppression first; --no-nms for predictions that are already thin.
-        regions: also score the image segmentation with and without the boundaries.
+        nms: non-maximum suppression comes first, unless this is given: for predictions that are already thin.
+        regions: the image segmentation with and without the boundaries is scored, too, unless this is given.
         overwrite: replace files in OUT.
     """
     files = check_output(out, (CURVE, PICTURE), overwrite, (Path(boundaries), bsds_dir))

@@ -210,7 +210,8 @@ def cloud_of_rows(rows: Array, name: str, is_pts: bool = False) -> CloudFile:
             break
     if rows.shape[1] > len(names):
         told = f"{name}: of {rows.shape[1]} columns, the first {len(names)} are read, {' and '.join(found)}"
-        warnings.warn(f"{told}; the rest is left out; a first line of names (x y z red ...) names others", stacklevel=3)
+        more = "a first line of names (x y z red ...), or `superpoints --columns`, names others"
+        warnings.warn(f"{told}; the rest is left out; {more}", stacklevel=3)
     return cloud_of(dict(zip(names, rows.T, strict=False)), name)
 
 

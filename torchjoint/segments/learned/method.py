@@ -63,7 +63,7 @@ def measured(graph: PointGraph) -> str:
         return ""
     spacing, noise = (1000 * float(of_points.median()) for of_points in (graph.scales.spacing, graph.scales.noise))
     normals = "given" if graph.has_given_normals else f"from {graph.scales.normal_neighbors} neighbours"
-    return f", spacing {spacing:.3g} mm, noise {noise:.2g} mm, normals {normals}"
+    return f", spacing {float(f'{spacing:.3g}'):g} mm, noise {float(f'{noise:.2g}'):g} mm, normals {normals}"
 
 
 def _has_hues(colors: Colors) -> bool:
