@@ -15,7 +15,7 @@ from torchjoint.datasets.files.ply import read_ply
 from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports.boxes import export_csv
 from torchjoint.results.inputs import write_inputs
-from torchjoint.results.mask_report import count_masks, names_of_masks, select_masked
+from torchjoint.results.mask_report import count_masks, masked_segments, names_of_masks, select_masked
 from torchjoint.results.parts import Parts, edited
 from torchjoint.scene import LabelImages
 
@@ -184,6 +184,16 @@ class TestARun:
         run("export", out, "--format", "coco", "-o", tmp_path / "a.json", "--only-masked")
         made = json.loads((tmp_path / "a.json").read_text())
         assert {one["id"] for one in made["categories"]} == {one["category_id"] for one in made["annotations"]}
+
+    @pytest.mark.parametrize("format", ["cvat", "labelcloud"])
+    def test_boxes_of_what_is_masked_come_back(self, out, run, tmp_path, capsys, format):
+        """What the file had left out counted as deleted, and joined other things."""
+        copy, file = shutil.copytree(out, tmp_path / "out"), tmp_path / "a.json"
+        assert 0 < len(masked_segments(copy)) < tj.load_result(copy).num_point_segments
+        run("export", copy, "--format", format, "-o", file, "--only-masked")
+        run("edits", "import", copy, file)
+        assert "things joined to others: 0" in capsys.readouterr().out
+        assert not (copy / "edits.json").exists()
 
     def test_what_is_kept_is_as_sure_as_before(self, out):
         loaded = tj.load_result(out, edits=False)

@@ -401,3 +401,26 @@ def test_names_at_other_levels():
     assert handle.at(0.5).segment_names == {}
     body = dataclasses.replace(named.at(1.0), segment_names={0: "body"})
     assert body.at(0.5).segment_names == {0: "body"}
+
+
+def test_a_result_of_a_program_is_saved(scene, result, tmp_path):
+    """Only the command line could write one."""
+    at_level = tj.Result.of(result, scene, tj.Config()).at(0.7)
+    named = dataclasses.replace(at_level, segment_names={0: "floor", 10**6: "of an image"})
+    named.save(tmp_path / "out")
+    stored = tj.load_result(tmp_path / "out")
+    assert torch.equal(stored.points, named.points)
+    assert all(map(torch.equal, stored.images, named.images))
+    assert torch.equal(stored.hierarchy.heights, named.hierarchy.heights)
+    assert (stored.segment_names, stored.config) == ({0: "floor"}, tj.Config())
+    assert len(stored.scene.frames) == len(scene.frames)
+    with pytest.raises(FileExistsError, match="exists already"):
+        named.save(tmp_path / "out")
+    (tmp_path / "out" / "edits.json").unlink()  # corrections are not replaced
+    tj.Result.of(tj.Segmentation(torch.zeros(len(scene.points), dtype=torch.int64), ()), scene).save(
+        tmp_path / "out", overwrite=True
+    )
+    again = tj.load_result(tmp_path / "out")
+    assert (again.num_point_segments, len(again.images), again.segment_names) == (1, 0, {})
+    again.save(tmp_path / "copy")  # of what was read
+    assert torch.equal(tj.load_result(tmp_path / "copy").points, again.points)

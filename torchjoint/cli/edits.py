@@ -11,6 +11,7 @@ from torchjoint.results import shared_edits
 from torchjoint.results.boxes import read_boxes
 from torchjoint.results.edits import FILE, read_edits
 from torchjoint.results.folder import load_result, parts_of
+from torchjoint.results.mask_report import masked_segments
 from torchjoint.results.parts import Parts, edited
 from torchjoint.runtime.messages import say
 from torchjoint.runtime.outputs import check_no_input
@@ -29,8 +30,7 @@ def edits(
 
     Args:
         action: import.
-        result: folder that `torchjoint segment` wrote, from which the file was exported, at its own level and without
-            --only-masked: boxes that a file leaves out count as deleted.
+        result: folder that `torchjoint segment` wrote, from which the file was exported, at its own level.
         file: .json of labelCloud (centroid_abs); .json of Segments.ai, a label of points or cuboids; .json of CVAT
             (annotations/default.json of format Datumaro 3D); .txt of OpenPCDet's custom data sets; or .csv of `export`,
             with names that you have filled in (an empty one changes nothing; the viewer removes names).
@@ -57,7 +57,8 @@ def edits(
             say(f"points that stay with their superpoint, most of which has another label: {others}")
     else:
         boxes, is_text = read_boxes(file), file.suffix.lower() == ".txt"
-        steps, joined, named, empty, stayed = shared_edits.edits_of_boxes(corrected, boxes, parts.of_point, is_text)
+        changes = shared_edits.edits_of_boxes(corrected, boxes, parts.of_point, is_text, masked_segments(result))
+        steps, joined, named, empty, stayed = changes
         if len(empty) > max(1, len(boxes) / 2):
             raise ValueError(f"{told} {len(empty)} of {len(boxes)} boxes are those of no thing")
         say(f"boxes: {len(boxes)}, things joined to others: {joined}, names changed: {named}")

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, NamedTuple
 
 import tyro
@@ -103,7 +104,7 @@ def live(
         add_to_segments(partial, {"lasting_ids": result.ids.tolist()})
     summarize(result.segmentation, out)
     if view is None:
-        say(f"torchjoint show {out}: look at it in the browser")
+        say(f"torchjoint show {quote(str(out))}: look at it in the browser")
     elif view.viewer is not None:
         view.finish(out, result)
         serve_until_interrupted(view.viewer)

@@ -13,6 +13,7 @@ from functools import partial
 from html import escape
 from importlib import import_module
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import torch
@@ -116,7 +117,7 @@ def growing_view() -> GrowingView:
 def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, scene: Scene) -> None:
     """Shows a new result, whose parameters can be changed on the page; without a view, prints how to show it."""
     if view is None:
-        say(f"torchjoint show {out}: look at it in the browser")
+        say(f"torchjoint show {quote(str(out))}: look at it in the browser")
         return
     from torchjoint.viewer.shown import LiveRun
 

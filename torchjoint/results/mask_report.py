@@ -13,7 +13,7 @@ from torch import Tensor
 from torchjoint.results.edits import LONGEST
 from torchjoint.results.result import Result
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.foreign_files import damage_is, has_file, read_json
+from torchjoint.runtime.foreign_files import damage_is, has_file, present, read_json
 from torchjoint.runtime.groups import counted_pairs
 from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import LazySequence
@@ -126,15 +126,22 @@ def names_of_masks(folder: Path) -> dict[int, str]:
         return {segment: printable(name)[:LONGEST] for segment, name in names.items()}
 
 
+def masked_segments(folder: Path) -> list[int]:
+    """The segments of the cloud that lie in masks with at least half of their pixels; none without masks.json."""
+    with damage_is(f"{folder / FILE}: not the masks of this result"):
+        segments = _read(folder)["segments"] if has_file(folder / FILE) else ()
+        return [segment["id"] for segment in segments if segment["masked"] >= 0.5]
+
+
 def select_masked(folder: Path, result: Result) -> Result:
     """The result with only those segments of the cloud that lie in masks with at least half of their pixels.
 
     The other segments are -1 in points and images, also those of one image that has no masks; ids stay. There are no
     levels any more.
     """
-    segments, names = _read(folder)["segments"], frames_with_masks(folder)
+    present(folder / FILE, "a result of a recording with masks")
+    kept, names = masked_segments(folder), frames_with_masks(folder)
     with damage_is(f"{folder / FILE}: not the masks of this result"):
-        kept = [segment["id"] for segment in segments if segment["masked"] >= 0.5]
         table = torch.full((count := result.num_point_segments,), -1)
         table[kept] = torch.tensor(kept)
     if not kept:

@@ -17,17 +17,24 @@ import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
+from torchjoint.config import Config
 from torchjoint.results.edits import FILE as EDITS
-from torchjoint.results.folder import PARTS
-from torchjoint.results.manifest import listed_files
+from torchjoint.results.edits import Edits, write_edits
+from torchjoint.results.folder import PARTS, write_result
+from torchjoint.results.manifest import listed_files, manifest_checksum
+from torchjoint.results.mask_report import names_of_masks
+from torchjoint.results.parts import Parts
+from torchjoint.results.result import Result
+from torchjoint.results.shared_edits import edits_of_names
 from torchjoint.runtime import outputs
 from torchjoint.runtime.files import FULL, PARTIAL, no_link
 from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.threads import on_cpu
 
 #: Files in a partial folder: the marker that it is complete; the marker that the earlier result has moved.
 COMPLETE, PLACING = "complete.txt", "placing.txt"
@@ -228,3 +235,16 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
     for folder in (out, *filter(Path.is_dir, out.iterdir())):
         if not os.access(folder, os.W_OK | os.X_OK):  # else the earlier result could not be moved, or not be deleted
             raise PermissionError(f"{folder}: is read-only; its files cannot be replaced")
+
+
+@on_cpu()
+def save_result(folder: Path, result: Result, overwrite: bool) -> None:
+    """See :meth:`torchjoint.Result.save`."""
+    with output_folder(folder, f"a result of process {os.getpid()}", overwrite=overwrite) as partial:
+        assert partial is not None  # only runs with a key can be finished
+        write_result(partial, result.scene, result, result.config or Config(), str(folder))
+        parts, saved = Parts(result), replace(result, segment_names=names_of_masks(partial))
+        names = {one: name for one, name in result.segment_names.items() if one < result.num_point_segments}
+        steps = edits_of_names(saved, names, parts.of_point)
+        if steps:
+            write_edits(partial, Edits(parts.count, steps=steps, of=manifest_checksum(partial)))

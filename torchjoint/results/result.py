@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Self
 
 import torch
@@ -162,6 +163,20 @@ class Result(Segmentation):
         """
         return relations(self.scene, self)
 
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
+        """Writes a folder as ``torchjoint segment`` does, for the other commands and :func:`torchjoint.load_result`.
+
+        Args:
+            folder: becomes the result, as a whole; an error leaves nothing there.
+            overwrite: replace an earlier result.
+
+        Raises:
+            FileExistsError, OSError: the folder is there, or cannot be written.
+        """
+        from torchjoint.results.output_folder import save_result
+
+        save_result(Path(folder), self, overwrite)
+
     def to_open3d(self) -> Any:
         """The cloud as ``open3d.t.geometry.PointCloud``: in the colours of its segments, which "labels" [N, 1] tells.
 
@@ -172,7 +187,7 @@ class Result(Segmentation):
             import open3d
         cloud = open3d.t.geometry.PointCloud(self.scene.points.numpy())
         cloud.point.colors = label_colors(self.points).numpy()
-        cloud.point.labels = self.points[:, None].numpy()
+        cloud.point.labels = self.points[:, None].to(torch.int32).numpy()  # Open3D writes no int64 into files
         return cloud
 
     def pick(

@@ -4,7 +4,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
@@ -121,7 +121,9 @@ class BoxEdits(NamedTuple):
     stayed: int = 0  #: segments whose box was deleted, and which lie in no other
 
 
-def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: Table, is_text: bool = False) -> BoxEdits:
+def edits_of_boxes(
+    result: Result, boxes: Sequence[Box], superpoint: Table, is_text: bool = False, masked: Collection[int] = ()
+) -> BoxEdits:
     """The corrections that edited boxes mean.
 
     Each box belongs to one segment: the pairs are taken by the IoU of the points in the box with those in the segment's
@@ -135,11 +137,14 @@ def edits_of_boxes(result: Result, boxes: Sequence[Box], superpoint: Table, is_t
         boxes: after the edits, in any order.
         superpoint: [N] the superpoint of each point, which does not change with corrections.
         is_text: they are OpenPCDet's, whose names have `_` for spaces.
+        masked: what `export --only-masked` writes; if no other segment has a box, none of the others' was deleted.
     """
     points, labels = upright_points(result.scene), result.points.numpy()
     own = boxes_of(result)
     inside = _members(boxes, points)
     segment_of = _matches(inside, _members([*own.values()], points), [*own])
+    if masked and {*masked}.issuperset(segment_of.values()):
+        own = {one: box for one, box in own.items() if one in masked}
     place, known = _places(result, superpoint), np.flatnonzero(labels >= 0)
     shape = len(points), len(place)
     of_segment = csr_array((np.ones(len(known), np.int64), (known, labels[known])), shape=shape)
