@@ -59,6 +59,15 @@ def test_an_object_gets_labels_and_is_not_changed():
     assert torch.equal(result.superpoints, tj.superpoints(cloud(0), faces=faces.T, preset="segmentator"))
 
 
+def test_three_triangles_in_the_columns_of_torch_geometric():
+    points = torch.rand(9, 3)
+    columns = torch.arange(9).view(3, 3).T
+    own = AddSuperpoints("pos", faces="face", scale=0.1)(Data(pos=points, face=columns)).superpoints
+    assert torch.equal(own, tj.superpoints(points, faces=columns.T, scale=0.1))
+    rows = AddSuperpoints("pos", faces="faces", scale=0.1)(Data(pos=points, faces=columns.T)).superpoints
+    assert torch.equal(own, rows)
+
+
 def test_a_name_that_torch_geometric_offsets():
     class Offset(Data):
         def __inc__(self, key, value):

@@ -311,6 +311,13 @@ def test_things_of_s3dis_with_an_upper_case_suffix(sample):
     assert traps.same(traps.content_of(path), whole)
 
 
+def test_a_recording_of_scannet_with_an_upper_case_suffix(sample):
+    path = sample("scannet")
+    whole, file = traps.content_of(path), next(path.glob("*.sens"))
+    file.rename(file.with_suffix(".SENS"))
+    assert traps.same(traps.content_of(path), whole)
+
+
 @pytest.mark.parametrize("value", ["false", "no", [0], 2])
 def test_is_fisheye_that_is_neither_true_nor_false(value, sample):
     file = sample("nerfstudio") / "transforms.json"

@@ -173,9 +173,11 @@ class TestStates:
         segmenter = tj.LiveSegmenter()
         segmenter.save(tmp_path / "state")
         write_values(tmp_path / "state", read_values(tmp_path / "state") | part)
+        segmenter._in_memory = 7
         with pytest.raises(ValueError, match=message) as caught:
             segmenter.restore(tmp_path / "state")
         assert str(tmp_path / "state") in str(caught.value)
+        assert segmenter._in_memory == 7  # as it was
 
     def test_settings_that_cannot_be_compared(self, tmp_path):
         segmenter = tj.LiveSegmenter()
