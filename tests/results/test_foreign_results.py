@@ -223,6 +223,7 @@ def test_names_with_escapes_and_formulas(tmp_path, capsys):
     say("a\x1b[2J\u202eb\x07")
     assert capsys.readouterr().out == "a\\x1b[2J\\u202eb\\x07\n"
     assert "\x1b" not in in_one_line(ValueError("a\x1b]0;x\x07"))
+    assert in_one_line(PermissionError(13, "Permission denied", "a b.ply")) == "a b.ply: Permission denied"
 
 
 def test_integers_beyond_64_bits():
