@@ -60,12 +60,11 @@ def test_an_object_gets_labels_and_is_not_changed():
 
 
 def test_three_triangles_in_the_columns_of_torch_geometric():
-    points = torch.rand(9, 3)
-    columns = torch.arange(9).view(3, 3).T
-    own = AddSuperpoints("pos", faces="face", scale=0.1)(Data(pos=points, face=columns)).superpoints
-    assert torch.equal(own, tj.superpoints(points, faces=columns.T, scale=0.1))
-    rows = AddSuperpoints("pos", faces="faces", scale=0.1)(Data(pos=points, faces=columns.T)).superpoints
-    assert torch.equal(own, rows)
+    points, rows = torch.rand(9, 3), torch.arange(9).view(3, 3)
+    expected = tj.superpoints(points, faces=rows, scale=0.1)
+    for name, faces in (("face", rows.T), ("faces", rows)):
+        data = Data(pos=points, **{name: faces})
+        assert torch.equal(AddSuperpoints("pos", faces=name, scale=0.1)(data).superpoints, expected)
 
 
 def test_a_name_that_torch_geometric_offsets():
