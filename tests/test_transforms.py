@@ -59,6 +59,14 @@ def test_an_object_gets_labels_and_is_not_changed():
     assert torch.equal(result.superpoints, tj.superpoints(cloud(0), faces=faces.T, preset="segmentator"))
 
 
+def test_three_triangles_in_the_columns_of_torch_geometric():
+    points, rows = torch.rand(9, 3), torch.arange(9).view(3, 3)
+    expected = tj.superpoints(points, faces=rows, scale=0.1)
+    for name, faces in (("face", rows.T), ("faces", rows)):
+        data = Data(pos=points, **{name: faces})
+        assert torch.equal(AddSuperpoints("pos", faces=name, scale=0.1)(data).superpoints, expected)
+
+
 def test_a_name_that_torch_geometric_offsets():
     class Offset(Data):
         def __inc__(self, key, value):

@@ -37,7 +37,7 @@ class AddSuperpoints:
     Args:
         points, colors, normals, faces, edges, ptr, viewpoint: names under which the sample stores the arguments of
             :func:`torchjoint.superpoints`; None = never use this argument. The faces of an object (not of a mapping)
-            may be [3, F], as in torch_geometric.
+            may be [3, F], as in torch_geometric; three of three points are so only under its name, "face".
         to: name under which the labels are stored. None: ``superpoints``; but in torch_geometric's ``Data``
             ``superpoints_batch``. To an attribute with "batch" in its name torch_geometric adds the number of ids
             in the clouds before, so the clouds of a batch have different ids.
@@ -86,9 +86,9 @@ class AddSuperpoints:
         if _get(sample, to) is not None:
             raise KeyError(f"{to}: expected a sample without this entry, got one with it; choose another name with to=")
         given = {name: _get(sample, key) for name, key in self.names.items() if key is not None}
-        faces = given.get("faces")
-        if faces is not None and not isinstance(sample, Mapping) and faces.ndim == 2 and faces.shape[1] != 3:
-            given["faces"] = faces.T
+        faces, key = given.get("faces"), self.names["faces"]
+        if faces is not None and not isinstance(sample, Mapping) and faces.ndim == 2:
+            given["faces"] = faces.T if faces.shape[1] != 3 or (key == "face" and len(faces) == 3) else faces
         labels = superpoints(points, **given, preset=self.preset, **self.parameters)
         if isinstance(sample, Mapping):
             return type(sample)({**sample, to: labels})  # type: ignore[call-arg]

@@ -304,10 +304,11 @@ def test_segments_that_the_mesh_lacks(name, objects, sample, tmp_path):
         tj.load_scene(path)
 
 
-def test_things_of_s3dis_with_an_upper_case_suffix(sample):
-    path = sample("s3dis")
-    whole = traps.content_of(path)
-    (path / "Annotations" / "chair_1.txt").rename(path / "Annotations" / "chair_1.TXT")
+@pytest.mark.parametrize(("name", "kind"), [("s3dis", "Annotations/chair_1.txt"), ("scannet", "*.sens")])
+def test_an_upper_case_suffix(name, kind, sample):
+    path = sample(name)
+    whole, file = traps.content_of(path), next(path.glob(kind))
+    file.rename(file.with_suffix(file.suffix.upper()))
     assert traps.same(traps.content_of(path), whole)
 
 

@@ -39,9 +39,11 @@ def test_numbers_that_the_decoder_would_change(tmp_path):
         path.write_bytes(start + numbers)
         with pytest.raises(ValueError, match=r"it\.png: .*expected 255 or 65535 as its largest number, got (12|10000)"):
             read(path)
-    Image.fromarray(np.kron(labels, np.ones((13, 13), np.uint8))).save(path, "JPEG")
-    with pytest.raises(ValueError, match=r"it\.png: expected a grey or palette image of labels, got mode L of JPEG"):
-        read_label_image(path)
+    image = Image.fromarray(np.kron(labels, np.ones((13, 13), np.uint8)))
+    for kind, more in (("JPEG", {}), ("MPO", {"save_all": True, "append_images": [image]})):  # MPO: a phone's JPEG
+        image.save(path, kind, **more)
+        with pytest.raises(ValueError, match=rf"it\.png: expected a grey or palette image of labels, .* L of {kind}"):
+            read_label_image(path)
 
 
 def test_a_jpeg_whose_end_is_lost(tmp_path):

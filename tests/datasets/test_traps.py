@@ -3,6 +3,7 @@
 import os
 import warnings
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 import samples
@@ -50,6 +51,19 @@ def test_a_lost_scene_hides_no_other(name, tmp_path):
     assert sorted(tj.datasets.list_scenes(top).values()) == sorted([lost, path])
     with pytest.raises(ValueError, match=r"lost.* cannot be read: .* is a link to .*away, which is not there"):
         tj.load_scene(lost)
+
+
+def test_a_closed_folder_hides_no_scene(tmp_path, monkeypatch):
+    path = samples.write("folder", tmp_path / "set" / "1")
+    (closed := path.with_name("closed")).mkdir()
+
+    def names(folder, iterdir=Path.iterdir):  # root may read everything
+        if folder == closed:
+            raise PermissionError(13, "Permission denied", str(folder))
+        return iterdir(folder)
+
+    monkeypatch.setattr(Path, "iterdir", names)
+    assert sorted(tj.datasets.list_scenes(path.parent).values()) == sorted([closed, path])
 
 
 def test_a_cloud_that_comes_while_one_is_fused_stays(tmp_path, monkeypatch):

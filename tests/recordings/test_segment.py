@@ -49,6 +49,14 @@ def whole(scene_of):
     return tj.JointSegmenter(QUICK)(scene_of(2).scene)
 
 
+def test_a_path_that_is_no_text(tmp_path):
+    """Its result could not be read."""
+    (path := tmp_path / "a\udcff").mkdir()
+    with pytest.raises(ValueError, match="expected a recording and masks with paths in UTF-8"):
+        segment_recording(path, tmp_path / "out", QUICK, tj.RecordingOptions())
+    assert not (tmp_path / "out").exists()
+
+
 def test_any_order(whole, scene_of, tmp_path):
     scene, segmenter = scene_of(2).scene, tj.JointSegmenter(QUICK)
     checkpoint = Checkpoint(tmp_path / "state", "key")

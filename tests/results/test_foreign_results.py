@@ -173,9 +173,11 @@ class TestStates:
         segmenter = tj.LiveSegmenter()
         segmenter.save(tmp_path / "state")
         write_values(tmp_path / "state", read_values(tmp_path / "state") | part)
+        segmenter._in_memory = 7
         with pytest.raises(ValueError, match=message) as caught:
             segmenter.restore(tmp_path / "state")
         assert str(tmp_path / "state") in str(caught.value)
+        assert segmenter._in_memory == 7  # as it was
 
     def test_settings_that_cannot_be_compared(self, tmp_path):
         segmenter = tj.LiveSegmenter()
@@ -221,6 +223,7 @@ def test_names_with_escapes_and_formulas(tmp_path, capsys):
     say("a\x1b[2J\u202eb\x07")
     assert capsys.readouterr().out == "a\\x1b[2J\\u202eb\\x07\n"
     assert "\x1b" not in in_one_line(ValueError("a\x1b]0;x\x07"))
+    assert in_one_line(PermissionError(13, "Permission denied", "a b.ply")) == "a b.ply: Permission denied"
 
 
 def test_integers_beyond_64_bits():

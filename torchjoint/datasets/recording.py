@@ -112,11 +112,14 @@ def find_cloud(path: Path, options: Options, clouds: Sequence[Path] = ()) -> Pat
 
     The names of the latter two are compared without case.
     """
-    files = [*(path / f"cloud{suffix}" for suffix in CLOUD_SUFFIXES), *clouds]
-    folders = {file.parent for file in files if has_folder(file.parent)}
-    there = {folder: {name.lower(): name for name in sorted(os.listdir(folder))} for folder in folders}
-    files = [file.with_name(there.get(file.parent, {}).get(file.name.lower(), file.name)) for file in files]
+    files = map(without_case, [*(path / f"cloud{suffix}" for suffix in CLOUD_SUFFIXES), *clouds])
     return next((file for file in (options.cloud, *files) if file is not None and has_file(file)), None)
+
+
+def without_case(file: Path) -> Path:
+    """Returns the file of a folder that has this name but for the case, if there is one."""
+    names = {name.lower(): name for name in sorted(os.listdir(file.parent))} if has_folder(file.parent) else {}
+    return file.with_name(names.get(file.name.lower(), file.name))
 
 
 class Shot(NamedTuple):

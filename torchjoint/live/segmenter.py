@@ -6,6 +6,7 @@ segments once, and keep them packed. A result takes the surface for the cloud, a
 
 from __future__ import annotations
 
+import copy
 import math
 import threading
 import warnings
@@ -302,8 +303,7 @@ class LiveSegmenter(nn.Module):
         evidence.check_seen()
         tree = method.segment(graph, evidence, self.config)
         found = label(tree, graph, evidence, self.config, self.stopwatch, images=images)
-        if self.granularity != 0.5:
-            found = found.at(self.granularity)
+        found = found if self.granularity == 0.5 else found.at(self.granularity)
         place = ((points.double() - self._origin) / (CUBE * self._volume.voxel_size)).floor().long()
         ids, changes = self._ids.name(place[:, 0] << 42 ^ place[:, 1] << 21 ^ place[:, 2], found.points)
         return LiveResult(Cloud(points, colors), found, ids, changes)
@@ -329,8 +329,8 @@ class LiveSegmenter(nn.Module):
         if not self.keep_depth:
             raise RuntimeError("LiveSegmenter: set_poses needs the depth of keyframes; give keep_depth=True")
         if tuple(world_to_camera.shape) != (len(self._keyframes), 4, 4):
-            expected = f"[{len(self._keyframes)}, 4, 4], a pose for each keyframe"
-            raise ValueError(f"world_to_camera: expected {expected}, got {list(world_to_camera.shape)}")
+            told = f"[{len(self._keyframes)}, 4, 4], a pose for each keyframe, got {list(world_to_camera.shape)}"
+            raise ValueError(f"world_to_camera: expected {told}")
         if not self._keyframes:
             return
         poses = [as_pose(pose, f"world_to_camera[{index}]") for index, pose in enumerate(world_to_camera)]
@@ -354,7 +354,6 @@ class LiveSegmenter(nn.Module):
         Raises:
             OSError: for example if the disk is full; an earlier file then stays.
         """
-        compared = self._to_compare
         values = {
             "settings": self._settings(),
             "origin": self._origin,
@@ -362,7 +361,7 @@ class LiveSegmenter(nn.Module):
             "views": dict(self._views),
             "volume": self._volume.state(),
             "keyframes": [keyframe.to_dict() for keyframe in self._keyframes],
-            "to_compare": None if compared is None else [_frame_values(frame) for frame in compared],
+            "to_compare": None if self._to_compare is None else [*map(_frame_values, self._to_compare)],
             "ids": self._ids.state(),
         }
         write_values(Path(path), values)
@@ -394,11 +393,12 @@ class LiveSegmenter(nn.Module):
             frames = None if compared is None else [Frame(**one) for one in compared]
             ids = LastingIds()
             ids.restore(values["ids"])
-            self._in_memory, self._file = 0, None
-            keyframes = [self._stored(keyframe) for keyframe in keyframes]
-            self._volume.restore(values["volume"])
+            stored = copy.copy(self)
+            stored._in_memory, stored._file = 0, None
+            keyframes = [stored._stored(keyframe) for keyframe in keyframes]
+            self._volume.restore(values["volume"])  # the last check: nothing can fail any more
         self._origin, self._pose, self._views, self._to_compare, self._ids = origin, pose, views, frames, ids
-        self._keyframes = keyframes
+        self._keyframes, self._in_memory, self._file = keyframes, stored._in_memory, stored._file
 
     def _stored(self, keyframe: Keyframe) -> Keyframe:
         """The same, in the file if there is no memory left."""

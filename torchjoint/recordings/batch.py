@@ -48,12 +48,12 @@ class Tables:
         self.reports: dict[str, SceneReport] = {}
         self.others: dict[str, SceneReport] = {}  #: of results that earlier batches of other scenes wrote here
         self.failures: dict[str, str] = {}
-        self._names = names
-        self._next = 0.0
+        self.lost: dict[str, str] = {}  #: of other scenes, in earlier batches
+        self._names, self._next = names, 0.0
 
-    def earlier(self) -> dict[str, dict[str, str]]:
-        """Reads the summary of earlier batches: a row by scene. Results hold neither memory nor warnings."""
-        file = self.folder / SUMMARY
+    def earlier(self, name: str) -> dict[str, dict[str, str]]:
+        """Reads a table of earlier batches: a row by scene. Results hold neither memory nor warnings."""
+        file = self.folder / name
         rows = csv.DictReader(io.StringIO(read_text(file, "a table"))) if has_file(file) else ()
         try:
             return {row["scene"].removeprefix("'"): row for row in rows}
@@ -80,7 +80,7 @@ class Tables:
 
     def _write(self) -> None:
         """Writes both tables; without failures it removes failures.csv."""
-        rows = [(name, self.failures[name]) for name in self._names if name in self.failures]
+        rows = [*self.lost.items(), *((name, self.failures[name]) for name in self._names if name in self.failures)]
         texts = {SUMMARY: self._summary(), FAILURES: csv_text([("scene", "reason"), *rows]) if rows else None}
         for name, text in texts.items():
             _check_table(self.folder / name, self._written)
@@ -271,7 +271,8 @@ def _text(record: dict[str, Any]) -> str:
 def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[str, Path], tuple[str, ...]]:
     """The recordings without a result, and the names of those that have one; a damaged or other result is a failure."""
     skipped = [name for name in found if not job.overwrite and or_unreadable(is_done, job.out / name)]
-    earlier = tables.earlier()
+    earlier = tables.earlier(SUMMARY)
+    tables.lost = {name: row["reason"] for name, row in tables.earlier(FAILURES).items() if name not in found}
 
     def report(name: str, told: tuple[str, ...] = ()) -> SceneReport:
         row = {"peak_memory_mb": "", "warnings": "", **earlier.get(name, {})}

@@ -3,6 +3,7 @@
 import time
 import warnings
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -71,15 +72,8 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
         warnings.simplefilter("always")
         while job.overwrite or not is_done(out):
             try:
-                segment_recording(
-                    path,
-                    out,
-                    job.config,
-                    job.options,
-                    overwrite=job.overwrite,
-                    memory=memory,
-                    allow_import=job.allow_import,
-                )
+                segment = partial(segment_recording, path, out, job.config, job.options, memory=memory)
+                segment(overwrite=job.overwrite, allow_import=job.allow_import)
                 break
             except BusyError:
                 if time.monotonic() > end:

@@ -29,6 +29,7 @@ from torchjoint.results.checkpoint import Checkpoint, model_checksums, run_key
 from torchjoint.results.folder import write_result
 from torchjoint.results.output_folder import STATE, output_folder, own_files
 from torchjoint.runtime.files import file_checksum, write_text
+from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.outputs import check_no_input
@@ -261,9 +262,7 @@ def segment_recording(
         )
         with clock("segment"), nullcontext() if options.ignore_poses else _poses_must_fit():
             result = run(segmenter, scene, checkpoint, engine=engine, watch=watch, progress=progress)
-        if level is not None:
-            result = result.at(level)
-        level = 0.5 if level is None else level
+        level, result = (0.5, result) if level is None else (level, result.at(level))
         made = {"fingerprint": before[0], **options.record(config)}
         if masks is not None:
             made["masks"] = [str(masks.absolute()), without_masks]
@@ -275,7 +274,9 @@ def segment_recording(
 
 
 def fingerprints(path: Path, masks: Path | None, out: Path, *, changed: bool = False) -> tuple[str, str]:
-    """Of a recording and its masks."""
+    """Of a recording and its masks; a result tells their paths."""
+    with damage_is("expected a recording and masks with paths in UTF-8"):
+        f"{path.absolute()} {masks and masks.absolute()}".encode()
     of = partial(fingerprint, without=own_files(out), changed=changed)
     return of(path), "" if masks is None else of(masks, alone=True)
 

@@ -61,7 +61,7 @@ def or_unreadable(is_one: Callable[[Path], bool], path: Path) -> bool:
     """Whether a path is one of a list, or this cannot be known: who reads it gets the error, the others are read."""
     try:
         return is_one(path)
-    except ValueError:
+    except (ValueError, PermissionError):
         return True
 
 

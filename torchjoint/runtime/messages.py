@@ -44,7 +44,8 @@ def in_one_line(error: BaseException) -> str:
         return "out of memory; --thin, --max-frames and --voxel-size reduce the data"
     if isinstance(error, RecursionError):
         return f"nested too deeply: {error}"
-    return on_terminal(" ".join(str(error).split()))
+    # The system's words are "[Errno 13] Permission denied: 'cloud.ply'".
+    return on_terminal(re.sub(r"^\[Errno \d+\] (.+): '([^']+)'$", r"\2: \1", " ".join(str(error).split())))
 
 
 @contextmanager

@@ -116,6 +116,13 @@ def test_a_file_without_chunks(tmp_path, points_of_header):
         read_las(path)
 
 
+def test_a_file_that_the_library_cannot_read(tmp_path):
+    path = las(tmp_path / "a.laz", None)
+    path.write_bytes(path.read_bytes().replace(b"laszip encoded", b"laszip unknown"))
+    with pytest.raises(ValueError, match=r"a\.laz: .*: expected a header and points that laspy reads, got"):
+        read_las(path)
+
+
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_a_wide_count_of_0_beside_the_narrow_one(tmp_path, suffix):
     cloud = laspy.LasData(laspy.LasHeader(point_format=3, version="1.4"))

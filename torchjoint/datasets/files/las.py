@@ -175,10 +175,10 @@ def _clear_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        is_of_library = isinstance(error, Exception) or type(error).__name__ == "PanicException"
-        if isinstance(error, MemoryError) or not is_of_library:
+        if isinstance(error, MemoryError) or not (isinstance(error, Exception) or "Panic" in type(error).__name__):
             raise
-        raise ValueError(f"{path}: not a whole LAS file: {error}") from error
+        told = error if type(error) is ValueError else f"expected a header and points that laspy reads, got {error!r}"
+        raise ValueError(f"{path}: not a whole LAS file: {told}") from error
 
 
 def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:

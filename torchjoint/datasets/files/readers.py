@@ -52,7 +52,7 @@ def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tu
             if not header_only:
                 if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
                     Image.open(io.BytesIO(data), formats=("PNG",)).verify()
-                if image.format == "JPEG" and data.endswith(bytes(64)) and not data.rstrip(b"\0").endswith(b"\xff\xd9"):
+                if data[:2] == b"\xff\xd8" and data.endswith(bytes(64)) and data.rstrip(b"\0")[-2:] != b"\xff\xd9":
                     raise ValueError("its end is lost, there are zeros in its place")
                 how = str([tile.args for tile in image.tile])
                 image.load()
@@ -239,6 +239,6 @@ def rgb_of(image: Image.Image, name: str) -> Tensor:
 
 def labels_of(image: Image.Image, name: str) -> Tensor:
     """Converts a label image of :func:`decode_image` to [H, W] int64; errors begin with `name`."""
-    if image.mode not in ("L", "P", "I;16", "I;16B", "I") or image.format == "JPEG":  # JPEG makes other numbers
+    if image.mode not in ("L", "P", "I;16", "I;16B", "I") or image.format in ("JPEG", "MPO"):  # they make other numbers
         raise ValueError(f"{name}: expected a grey or palette image of labels, got mode {image.mode} of {image.format}")
     return torch.from_numpy(np.array(image).astype(np.int64) // image.info["step"])

@@ -33,7 +33,7 @@ WHAT = "KITTI object: velodyne/NNNNNN.bin (or image_2/NNNNNN.png) with calib/ be
 def recognizes(path: Path) -> bool:
     folder = path.absolute().parent
     kinds = {("velodyne", ".bin"), ("image_2", ".png")}
-    return (folder.name, path.suffix) in kinds and has_file(path) and _is_root(folder.parent)
+    return (folder.name, path.suffix.lower()) in kinds and has_file(path) and _is_root(folder.parent)
 
 
 def scenes(path: Path) -> dict[str, Path]:

@@ -32,7 +32,7 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     things = _things(path)
-    if left := sorted(file.name for file in (path / "Annotations").glob(_TEXT) if file not in things):
+    if left := sorted(file.name for file in (path / "Annotations").rglob(_TEXT) if file not in things):
         warnings.warn(f"{path}: {len(left)} files in Annotations are no CLASS_N.txt; not read: {left[0]}", stacklevel=3)
     parts = [_read_points(file) for file in things]
     rows = torch.from_numpy(np.concatenate(parts))

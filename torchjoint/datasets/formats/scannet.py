@@ -66,13 +66,13 @@ COLOR_SIZE, DEPTH_SIZE = (968, 1296), (480, 640)
 def recognizes(path: Path) -> bool:
     if has_file(path):
         return path.suffix.lower() == ".sens"
-    own = any(has_file(path / f"{path.name}{suffix}") for suffix in (".sens", CLOUD))
+    own = any(has_file(recording.without_case(path / f"{path.name}{suffix}")) for suffix in (".sens", CLOUD))
     return own or ((has_folder(path / "intrinsic") or has_file(path / f"{path.name}.txt")) and has_frames(path))
 
 
 def load(path: Path, options: recording.Options) -> Scene:
     folder, scan = (path.parent, path.stem) if has_file(path) else (path, path.name)
-    frames = _read_frames(folder, scan, path if has_file(path) else path / f"{scan}.sens")
+    frames = _read_frames(folder, scan, path if has_file(path) else recording.without_case(path / f"{scan}.sens"))
     instances, images = partial(vertex_instances, folder, scan), image_instances(folder, scan, frames)
     clouds = [folder / f"{scan}{CLOUD}"]
     return replace(
