@@ -203,11 +203,13 @@ def test_a_folder_in_the_way_is_left_alone(recording, run, tmp_path):
 
 
 def test_show_of_something_else(run, tmp_path):
-    with pytest.raises(SystemExit, match=r"points\.npz: missing; expected a folder that `torchjoint segment` wrote"):
+    with pytest.raises(SystemExit, match=r"run\.yaml: missing; expected a folder that `torchjoint segment` wrote"):
         run("show", tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"points\.npz: missing; expected a folder that `torchjoint segment`"):
+        tj.load_result(tmp_path)
     (tmp_path / "points.npz").write_bytes(b"PK\x03\x04 broken")
-    with pytest.raises(SystemExit, match=r"points\.npz: not a whole result"):
-        run("show", tmp_path)
+    with pytest.raises(ValueError, match=r"points\.npz: not a whole result"):
+        tj.load_result(tmp_path)
 
 
 def test_demo(monkeypatch, tmp_path, capsys, run, synthetic):
