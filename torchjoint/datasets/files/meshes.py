@@ -14,12 +14,11 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import CloudFile, colors_of_all, unit_colors
+from torchjoint.datasets.files.columns import Array, CloudFile, colors_of_all, unit_colors
 from torchjoint.datasets.files.readers import RASTERS, decode_image
 from torchjoint.datasets.files.text import path_inside
 from torchjoint.runtime import bounds
@@ -27,7 +26,6 @@ from torchjoint.runtime.foreign_files import has_file, parse_json, read_file
 from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".obj", ".glb", ".gltf", ".off", ".stl")
-Array = npt.NDArray[Any]
 #: Formats of textures. TGA has no mark at its start, so it is tried last.
 TEXTURES = (*RASTERS, "TGA")
 #: Extensions of glTF that do not change where points are.
