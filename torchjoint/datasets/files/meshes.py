@@ -114,12 +114,9 @@ def _joined(parts: Sequence[Any], name: str) -> CloudFile:
             is_whole = has_colors and len(of_part) == len(points[-1])
             own = unit_colors(np.asarray(of_part)[:, :3]) if is_whole else None
             colors.append((str(part.metadata.get("name")), own))
-    triangles = np.concatenate([np.empty((0, 3), np.int64), *faces])
-    return CloudFile(
-        torch.from_numpy(np.concatenate([np.empty((0, 3)), *points])),
-        colors_of_all(colors, name, "parts"),
-        faces=torch.from_numpy(triangles) if len(triangles) else None,
-    )
+    vertices = torch.from_numpy(np.concatenate([np.empty((0, 3)), *points]))
+    triangles = torch.from_numpy(np.concatenate(faces)) if any(map(len, faces)) else None
+    return CloudFile(vertices, colors_of_all(colors, name, "parts"), faces=triangles)
 
 
 def _color_twice(part: Any) -> None:
