@@ -102,9 +102,8 @@ class Segmentation:
     def __repr__(self) -> str:
         levels = ", all levels" if self.hierarchy is not None else ""
         count = int((torch.bincount(self.points.clamp(min=-1) + 1)[1:] > 0).sum())  # after corrections less than ids
-        return (
-            f"{type(self).__name__}({len(self.points)} points in {count} segments, {len(self.images)} images{levels})"
-        )
+        points = f"{len(self.points)} points in {count} segments"
+        return f"{type(self).__name__}({points}, {len(self.images)} images{levels})"
 
     @property
     def num_point_segments(self) -> int:
@@ -169,9 +168,7 @@ class Segmentation:
             raise ValueError(f"hierarchy: {told}")
         of_superpoint = self.hierarchy.segments_of_superpoints(self.hierarchy.height_of(granularity))
         points = with_none(of_superpoint)[self.hierarchy.superpoint]
-        images: Sequence[Tensor] = ()
-        if len(self.images):
-            images = self._images_at(of_superpoint, points)
+        images = self._images_at(of_superpoint, points) if len(self.images) else ()
         return replace(self, points=points, images=images)
 
     def _images_at(self, of_superpoint: Tensor, points: Tensor) -> Sequence[Tensor]:
