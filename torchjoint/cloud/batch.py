@@ -69,9 +69,8 @@ def without_invalid(batch: Batch, invalid: Invalid) -> tuple[Tensor, Batch]:
     colors, normals, viewpoint = (
         of[valid] if isinstance(of, Tensor) and of.shape == points.shape else of for of in (colors, normals, viewpoint)
     )
-    return valid, Batch(
-        points[valid], colors, normals, edges, None if faces is None else faces.T, first[starts], viewpoint
-    )
+    faces = None if faces is None else faces.T
+    return valid, Batch(points[valid], colors, normals, edges, faces, first[starts], viewpoint)
 
 
 def _checked_ptr(ptr: Tensor | None, num_points: int) -> list[int]:
@@ -100,9 +99,8 @@ def _checked_nodes(name: str, nodes: Tensor | None, num_points: int) -> Tensor |
         raise ValueError(f"faces: expected shape [F, 3], got {list(nodes.shape)}")
     nodes = (nodes if name == "edges" else nodes.T).to(torch.int64)
     if nodes.numel() and not 0 <= int(nodes.min()) <= int(nodes.max()) < num_points:
-        raise ValueError(
-            f"{name}: expected point numbers in [0, {num_points}), got {int(nodes.min())} to {int(nodes.max())}"
-        )
+        got = f"{int(nodes.min())} to {int(nodes.max())}"
+        raise ValueError(f"{name}: expected point numbers in [0, {num_points}), got {got}")
     return nodes
 
 

@@ -93,12 +93,11 @@ def map_edges(weigh: Callable[[Tensor], Tensor], edge_index: Tensor) -> Tensor:
         [E] float32.
     """
     weights = torch.empty(edge_index.shape[1], dtype=torch.float32)
-    starts = range(0, edge_index.shape[1], EDGES)
 
     def weigh_some(start: int) -> None:
         weights[start : start + EDGES] = weigh(edge_index[:, start : start + EDGES])
 
-    parallel_map(weigh_some, starts)
+    parallel_map(weigh_some, range(0, edge_index.shape[1], EDGES))
     return weights
 
 

@@ -143,11 +143,8 @@ def merged_points(cloud: Cloud, of_point: Tensor, count: int) -> Cloud:
         opposite = normals.square().sum(1, keepdim=True) < 1e-6  # the mean of opposite normals has no direction
         equal = (normals == own).all(1, keepdim=True)  # keep them bit by bit
         normals = torch.where(opposite | equal, own, normalize(normals, dim=1))
-    return Cloud(
-        points.to(cloud.points.dtype),
-        None if colors is None else colors.float().clamp(0, 1),
-        None if normals is None else normals.float(),
-    )
+    colors = None if colors is None else colors.float().clamp(0, 1)
+    return Cloud(points.to(cloud.points.dtype), colors, None if normals is None else normals.float())
 
 
 def points_within(points: Tensor, side: float) -> Tensor:

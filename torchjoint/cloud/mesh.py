@@ -37,15 +37,8 @@ def vertex_normals(points: Tensor, faces: Tensor) -> Tensor:
         [N, 3] float32, length at most 1.
     """
     p1, p2, p3 = points[faces].unbind(1)
-    u, v = p2 - p1, p3 - p1
-    cross = torch.stack(
-        [
-            u[:, 1] * v[:, 2] - u[:, 2] * v[:, 1],
-            u[:, 2] * v[:, 0] - u[:, 0] * v[:, 2],
-            u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0],
-        ],
-        dim=1,
-    )
+    (x1, y1, z1), (x2, y2, z2) = (p2 - p1).unbind(1), (p3 - p1).unbind(1)
+    cross = torch.stack([y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2], dim=1)
     length = rounded_length(cross)
     has_area = length > 0
     blend = (cross / length[:, None])[has_area].repeat_interleave(3, dim=0)

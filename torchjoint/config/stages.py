@@ -28,9 +28,8 @@ class BoundaryConfig(Stage):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.detector not in DETECTORS and not re.fullmatch(r"\w+(\.\w+)*:\w+", self.detector):
-            raise ValueError(
-                f"boundary.detector: expected {', '.join(DETECTORS)} or package.module:Class, got {self.detector!r}"
-            )
+            expected = f"{', '.join(DETECTORS)} or package.module:Class"
+            raise ValueError(f"boundary.detector: expected {expected}, got {self.detector!r}")
 
 
 @dataclass(frozen=True)

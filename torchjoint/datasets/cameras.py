@@ -200,11 +200,8 @@ def undistort(
         raise ValueError(f"{name}: images of {size[0]} x {size[1]} pixels cannot be undistorted: {error}") from error
     except ArithmeticError as error:
         raise ValueError(f"{name}: distortion {distortion} cannot be undone in {size[0]} x {size[1]} pixels") from error
-    return (
-        torch.from_numpy(straight).permute(2, 0, 1),
-        None if of_depth is None else torch.from_numpy(of_depth),
-        torch.from_numpy(after),
-    )
+    depth = None if of_depth is None else torch.from_numpy(of_depth)
+    return torch.from_numpy(straight).permute(2, 0, 1), depth, torch.from_numpy(after)
 
 
 def _perspective(before: Matrix, coefficients: Matrix, size: Size) -> Straight:

@@ -173,12 +173,9 @@ class Volume:
             following_row = torch.where(voxel[:, axis] == SIDE - 1, next_row[block], row[block])
             following_voxel = voxel.clone()
             following_voxel[:, axis] = (voxel[:, axis] + 1) % SIDE
-            color = torch.lerp(
-                _color(sums[row[block], *voxel.unbind(1)]),
-                _color(sums[following_row, *following_voxel.unbind(1)]),
-                share,
-            )
-            found.append(torch.cat([center, color], 1))
+            ends = (row[block], voxel), (following_row, following_voxel)
+            first, second = (_color(sums[rows, *voxels.unbind(1)]) for rows, voxels in ends)
+            found.append(torch.cat([center, torch.lerp(first, second, share)], 1))
         self._drop(len(row))
         return torch.cat(found)
 

@@ -222,9 +222,8 @@ class StructuredForestBoundary(nn.Module):
         """The forest's votes [H, W] for each of the images [3, H, W] of one size, detected at another size."""
         height, width = images[0].shape[1:]
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
-        planes = torch.empty(
-            len(images), 3, *(2 * MARGIN + side + -side % 4 for side in reversed(size)), dtype=torch.float32
-        )
+        sides = [2 * MARGIN + side + -side % 4 for side in reversed(size)]
+        planes = torch.empty(len(images), 3, *sides, dtype=torch.float32)
 
         def pad(index: int) -> None:
             for plane, out in zip(images[index], planes[index].numpy(), strict=True):
@@ -243,9 +242,8 @@ def _resized(image: NDArray[np.float32], size: tuple[int, int], shrinks: bool = 
 
     if (image.shape[1], image.shape[0]) == size:
         return image
-    return np.asarray(
-        cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR), np.float32
-    )
+    how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size, interpolation=how), np.float32)
 
 
 def relative_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -56,6 +56,10 @@ def brightened(colors: Tensor) -> Tensor:
     return (colors * (LEAST_MEAN * count / total)).clamp(max=1)
 
 
+#: Masks or dense labels of a frame, its own or the segmenter's; None: there are none, the pixel graph is used.
+Given = Masks | Tensor | None
+
+
 class ImageSegments(NamedTuple):
     """The result of steps 1 and 2 for one frame."""
 
@@ -117,11 +121,9 @@ class ImageSegmenter(nn.Module):
             boundaries = boundaries.float()
             return close_contours(boundaries) if self.config.contours.closed else boundaries
 
-    def _given(self, frames: Sequence[Frame]) -> list[Masks | Tensor | None]:
-        """The masks or dense labels of each frame, its own or the segmenter's; None: use the pixel graph."""
-        given: list[Masks | Tensor | None] = []
-        for frame in frames:
-            given.append(frame.masks if isinstance(frame.masks, Masks) else frame.labels)
+    def _given(self, frames: Sequence[Frame]) -> list[Given]:
+        """What is given for each frame; labels 0, 1, ... without gaps."""
+        given: list[Given] = [one.masks if isinstance(one.masks, Masks) else one.labels for one in frames]
         missing = [index for index, segments in enumerate(given) if segments is None]
         if self.segmenter is not None and missing:
             output = self._run(self.segmenter, torch.stack([frames[index].image for index in missing]))
@@ -142,10 +144,8 @@ class ImageSegmenter(nn.Module):
             for segments in output
         ]
 
-    def _segment(
-        self, frames: Sequence[Frame], given: Sequence[Masks | Tensor | None], boundaries: Tensor
-    ) -> list[ImageSegments]:
-        def segment(job: tuple[Frame, Masks | Tensor | None, Tensor]) -> ImageSegments:
+    def _segment(self, frames: Sequence[Frame], given: Sequence[Given], boundaries: Tensor) -> list[ImageSegments]:
+        def segment(job: tuple[Frame, Given, Tensor]) -> ImageSegments:
             frame, segments, boundary = job
             if isinstance(segments, Tensor):
                 return ImageSegments(boundary, segments, None)

@@ -185,9 +185,8 @@ def _cut(
     if not active.any():
         return source[:0]
     # In a segment of one exact colour, sigma and all w are 0: then every edge has the same capacity, 1.
-    pixel, node_ptr, edge_index, edge_ptr, w_over_sigma = segment_graphs(
-        labels, active, colors, boundary, graph.color_weight, graph.boundary_weight
-    )
+    weights = graph.color_weight, graph.boundary_weight
+    pixel, node_ptr, edge_index, edge_ptr, w_over_sigma = segment_graphs(labels, active, colors, boundary, *weights)
     capacity = torch.exp(-w_over_sigma)
     seed = torch.zeros_like(segment, dtype=torch.int64)
     seed[source], seed[sink] = 1, 2

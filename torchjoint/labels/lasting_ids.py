@@ -45,7 +45,8 @@ class LastingIds:
         Returns:
             the id of each segment, [S] int64; and what has changed since the last result.
         """
-        cube, segment_of_cube = _majority(cube, segment)
+        cube, group = torch.unique(cube, return_inverse=True)
+        segment_of_cube = most_frequent(segment, group, torch.ones_like(group))  # ties: the lowest
         num_segments = int(segment.max()) + 1
         home: dict[int, int] = {}
         tenant: dict[int, int] = {}
@@ -118,9 +119,3 @@ def _sizes(ids: Tensor) -> dict[int, int]:
     """How many cubes have each id; -1 is none."""
     found, count = ids[ids >= 0].unique(return_counts=True)
     return dict(zip(found.tolist(), count.tolist(), strict=True))
-
-
-def _majority(cube: Tensor, segment: Tensor) -> tuple[Tensor, Tensor]:
-    """The cubes, ascending, and the segment that has most points of each; ties: the lowest."""
-    cube, group = torch.unique(cube, return_inverse=True)
-    return cube, most_frequent(segment, group, torch.ones_like(group))

@@ -36,9 +36,8 @@ def rle_pixels(rle: Mapping[str, Any], name: str = "segmentation") -> tuple[tupl
     if any(count < 0 for count in counts):
         raise ValueError(f"{name}'s counts: expected numbers >= 0, got {min(counts)}")
     if sum(counts) != height * width:
-        raise ValueError(
-            f"{name}'s counts: expected a sum of {height} x {width} = {height * width} pixels, got {sum(counts)}"
-        )
+        expected = f"a sum of {height} x {width} = {height * width} pixels"
+        raise ValueError(f"{name}'s counts: expected {expected}, got {sum(counts)}")
     bounds.check(sum(counts[1::2]), bounds.INSIDE, "pixels inside", name)
     length = np.array(counts, dtype=np.int64)
     if 8 * int(length[1::2].sum()) > height * width:  # fewer bytes, and less time

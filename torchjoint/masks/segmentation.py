@@ -78,9 +78,8 @@ def _corners(polygons: Sequence[Any], name: str) -> Iterator[npt.NDArray[np.floa
         except (TypeError, ValueError) as error:
             raise TypeError(f"{name}: expected polygons x, y, x, y, ... of numbers, got {str(polygon)[:60]}") from error
         if corners.ndim != 1 or len(corners) < 6 or len(corners) % 2 or not (np.abs(corners) < _FAR).all():
-            raise ValueError(
-                f"{name}: expected polygons x, y, x, y, ... of at least 3 finite corners, got {corners.shape} numbers"
-            )
+            told = f"{name}: expected polygons x, y, x, y, ... of at least 3 finite corners"
+            raise ValueError(f"{told}, got {corners.shape} numbers")
         yield corners.reshape(-1, 2) - 0.5
 
 

@@ -192,12 +192,9 @@ def splat_depth(row: Tensor, column: Tensor, depth: Tensor, reach: Tensor, heigh
                 [2., 2., 1., 1.]])
     """
     check_array("row", row, torch.int64, (None,), "[M]")
-    for name, value, dtype in (
-        ("column", column, torch.int64),
-        ("depth", depth, torch.float32),
-        ("reach", reach, torch.int64),
-    ):
-        check_array(name, value, dtype, (row.shape[0],), "[M]")
+    check_array("column", column, torch.int64, (row.shape[0],), "[M]")
+    check_array("depth", depth, torch.float32, (row.shape[0],), "[M]")
+    check_array("reach", reach, torch.int64, (row.shape[0],), "[M]")
     check_number("height", height, (int,))
     check_number("width", width, (int,))
     return call("splat_depth", row, column, depth, reach, height, width)

@@ -14,13 +14,12 @@ import numpy.typing as npt
 
 from torchjoint.results.objects import level_axes, members, oriented_box
 from torchjoint.results.result import Result
-from torchjoint.results.upright import up_direction
+from torchjoint.results.upright import Array, up_direction
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import read_json, read_text
 from torchjoint.runtime.messages import printable
 from torchjoint.scene import Scene
 
-Array = npt.NDArray[np.float64]
 #: The name of a thing without a name.
 UNNAMED = "thing"
 #: Metres: a point so near to a side is inside. Files hold millimetres.

@@ -166,9 +166,8 @@ class Embeddings:
         """
         wanted = torch.as_tensor(query).detach().flatten().to("cpu", torch.float32)
         if wanted.shape != self.vectors.shape[1:] or not bool(wanted.isfinite().all()) or not bool(wanted.any()):
-            raise ValueError(
-                f"query: expected {self.vectors.shape[1]} finite numbers, not all 0, got {list(query.shape)}"
-            )
+            told = f"query: expected {self.vectors.shape[1]} finite numbers, not all 0"
+            raise ValueError(f"{told}, got {list(query.shape)}")
         if k < 1:
             raise ValueError(f"k: expected at least 1, got {k}")
         cosine = (self.vectors @ functional.normalize(wanted, dim=0)).where(self.seen, -torch.inf)

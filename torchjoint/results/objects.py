@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchjoint.ops import nearest_neighbors
 from torchjoint.ops.internal import gap_components
-from torchjoint.results.upright import up_direction
+from torchjoint.results.upright import Array, up_direction
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import no_link, write_text
 from torchjoint.runtime.foreign_files import damage_is, read_json
@@ -22,7 +22,6 @@ from torchjoint.runtime.outputs import lock
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Scene, Segmentation
 
-Array = npt.NDArray[np.float64]
 #: Neighbours are of one part up to so many times their median distance, or such a share of the median distance to the
 #: middle, as rows of a scan are; smaller parts than this share of the largest one are left out of a box. The mean
 #: |log| of sides / true sides falls from .66 to .23 on a real shelf, from .85 to .39 in a tote, from .14 to .11 in a

@@ -19,11 +19,10 @@ from torch import Tensor
 
 from torchjoint import ops
 from torchjoint.results.objects import FILE, add_to_segments, level_axes, oriented_box, read_segments, stored_labels
-from torchjoint.results.upright import up_direction
+from torchjoint.results.upright import Array, up_direction
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.scene import Scene, Segmentation
 
-Array = npt.NDArray[np.float64]
 Kind = Literal["stands on", "hangs on", "contains", "touches"]
 
 #: Neighbours of a point among which contacts are sought; their largest distance, in local spacings of the cloud.

@@ -214,7 +214,7 @@ def edits_of_names(result: Result, names: Mapping[int, str], superpoint: Table, 
     )
 
 
-def _places(result: Result, superpoint: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _places(result: Result, superpoint: Table) -> Table:
     """The largest superpoint of each segment, by which corrections know it: after a split a name stays with it."""
     labels = result.points.numpy()
     return _most(labels[labels >= 0], superpoint[labels >= 0], int(labels.max()) + 1)

@@ -13,6 +13,7 @@ from torchjoint.cloud.normals import estimate_normals
 from torchjoint.runtime.threads import one_thread_per_operation
 from torchjoint.scene import Scene
 
+Array = npt.NDArray[np.float64]
 #: Number of points that are used, evenly selected: enough to find a floor.
 SAMPLED = 20_000
 #: A plane is searched within so many degrees of the poses' upward direction if the cameras turned: the poses determine
@@ -90,12 +91,12 @@ def _largest_plane(normals: Tensor, up: Tensor, angle: float) -> Tensor | None:
 class View(NamedTuple):
     """A place from which a cloud is seen."""
 
-    position: npt.NDArray[np.float64]  #: [3] metres
-    target: npt.NDArray[np.float64]  #: [3] metres, in the middle of what is seen
-    axes: npt.NDArray[np.float64]  #: [3, 3], one a row: to the right, down, forward
+    position: Array  #: [3] metres
+    target: Array  #: [3] metres, in the middle of what is seen
+    axes: Array  #: [3, 3], one a row: to the right, down, forward
 
 
-def fitted(scene: Scene, up: npt.NDArray[np.float64], fov: float, aspect: float) -> View:
+def fitted(scene: Scene, up: Array, fov: float, aspect: float) -> View:
     """A view of the whole cloud, from above, looking where the cameras look; in portrait along its longer side.
 
     Args:
@@ -119,9 +120,7 @@ def fitted(scene: Scene, up: npt.NDArray[np.float64], fov: float, aspect: float)
     return View(target - MARGIN * distance * forward, target, axes)
 
 
-def _forward(
-    scene: Scene, up: npt.NDArray[np.float64], points: npt.NDArray[np.float64], aspect: float
-) -> npt.NDArray[np.float64]:
+def _forward(scene: Scene, up: Array, points: Array, aspect: float) -> Array:
     """The direction [3] of a view from above, in the mean viewing direction of the cameras; unit length.
 
     If there is none, or in portrait, a long cloud lies as the picture does, and is seen from higher, past its walls.

@@ -59,9 +59,8 @@ class Cloud:
         Equal colours would tell the model that no boundary has a colour step, and the check of poses that no pose fits.
         Equal normals would tell that there is no crease.
         """
-        colors, normals = (
-            None if values is None or (values == values[0]).all() else values for values in (self.colors, self.normals)
-        )
+        both = (self.colors, self.normals)
+        colors, normals = (None if of is None or (of == of[0]).all() else of for of in both)
         return replace(self, colors=colors, normals=normals)
 
 

@@ -152,9 +152,8 @@ class Hierarchy:
             raise ValueError(f"votes: expected sizes [{count}] int64 of at least 1 point")
 
     def __repr__(self) -> str:
-        return (
-            f"Hierarchy({len(self.superpoint)} points, {self.num_superpoints} superpoints, {len(self.merges)} merges)"
-        )
+        parts = f"{self.num_superpoints} superpoints, {len(self.merges)} merges"
+        return f"Hierarchy({len(self.superpoint)} points, {parts})"
 
     @cached_property
     def num_superpoints(self) -> int:

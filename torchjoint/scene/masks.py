@@ -211,11 +211,8 @@ class Masks:
     @on_cpu()
     def divided(self, labels: Tensor) -> Masks:
         """The same masks; pixels in none are in one atom only if they have one label, too; `labels`: [H, W], >= 0."""
-        members: list[list[int]] = [[] for _ in range(self.num_atoms + int(labels.max()) + 1)]
-        for atom, mask in self.pairs.t().tolist():
-            members[atom].append(mask)
         atom = torch.where(self.covered(), self.atom, self.num_atoms + labels)
-        return self._of_members(atom, members, self.scores, self.ids, self.names)
+        return self._with_atoms(atom, self.num_atoms + int(labels.max()) + 1)
 
     def resized(self, size: tuple[int, int]) -> Masks:
         """The masks of an image of another size (H, W), by the nearest pixel.
@@ -234,11 +231,14 @@ class Masks:
             warnings.warn(f"{told}; do they show the same view?", stacklevel=2)
         row = ((torch.arange(height, dtype=torch.float32, device="cpu") + 0.5) * own_height / height).long()
         column = ((torch.arange(width, dtype=torch.float32, device="cpu") + 0.5) * own_width / width).long()
-        members: list[list[int]] = [[] for _ in range(self.num_atoms)]
-        for atom, mask in self.pairs.t().tolist():
-            members[atom].append(mask)
-        atom = self.atom[row][:, column].long()
-        return self._of_members(atom, [tuple(masks) for masks in members], self.scores, self.ids, self.names)
+        return self._with_atoms(self.atom[row][:, column].long(), self.num_atoms)
+
+    def _with_atoms(self, atom: Tensor, count: int) -> Masks:
+        """The same masks in another image of atoms, numbers below `count`; those that are new are in no mask."""
+        members: list[list[int]] = [[] for _ in range(count)]
+        for number, mask in self.pairs.t().tolist():
+            members[number].append(mask)
+        return self._of_members(atom, members, self.scores, self.ids, self.names)
 
 
 def as_masks(masks: Tensor | Masks, size: tuple[int, int], scores: Tensor | None = None, name: str = "masks") -> Masks:

@@ -162,13 +162,10 @@ class Scene:
 
     def select_points(self, keep: Tensor) -> Scene:
         """The scene with some of its points, in the order of `keep` ([N] bool, or [M] int64 indices)."""
-        return replace(
-            self,
-            points=self.points[keep],
-            colors=None if self.colors is None else self.colors[keep],
-            normals=None if self.normals is None else self.normals[keep],
-            truth=None if self.truth is None else self.truth.select_points(keep),
-        )
+        points = self.points[keep]
+        colors, normals = (None if of is None else of[keep] for of in (self.colors, self.normals))
+        truth = None if self.truth is None else self.truth.select_points(keep)
+        return replace(self, points=points, colors=colors, normals=normals, truth=truth)
 
     def sample_frames(self, most: int) -> Scene:
         """The scene with at most `most` frames, evenly spread from the first to the last; lazy frames stay lazy."""
@@ -178,8 +175,5 @@ class Scene:
 
     def select_frames(self, indices: Sequence[int]) -> Scene:
         """The scene with some of its frames, in the order of `indices`; lazy frames stay lazy."""
-        return replace(
-            self,
-            frames=subset(self.frames, indices),
-            truth=None if self.truth is None else self.truth.select_frames(indices),
-        )
+        truth = None if self.truth is None else self.truth.select_frames(indices)
+        return replace(self, frames=subset(self.frames, indices), truth=truth)

@@ -168,9 +168,7 @@ class Segmentation:
             raise ValueError(f"hierarchy: {told}")
         of_superpoint = self.hierarchy.segments_of_superpoints(self.hierarchy.height_of(granularity))
         points = with_none(of_superpoint)[self.hierarchy.superpoint]
-        images: Sequence[Tensor] = ()
-        if len(self.images):
-            images = self._images_at(of_superpoint, points)
+        images = self._images_at(of_superpoint, points) if len(self.images) else ()
         return replace(self, points=points, images=images)
 
     def _images_at(self, of_superpoint: Tensor, points: Tensor) -> Sequence[Tensor]:

@@ -101,9 +101,8 @@ def make_scene(
         if not 0 <= error <= most:  # also rejects NaN
             raise ValueError(f"{name}: expected 0 to {most}, got {error!r}")
     count, *shape, num_points = whole.values()
-    of_room, of_walk, of_poses, of_cloud, *of_views = (
-        np.random.default_rng(stream) for stream in np.random.SeedSequence(seed).spawn(4 + 2 * count)
-    )
+    streams = np.random.SeedSequence(seed).spawn(4 + 2 * count)
+    of_room, of_walk, of_poses, of_cloud, *of_views = map(np.random.default_rng, streams)
     room, things = furnish(of_room, SIZES[size][-1])
     focal = shape[1] / 2 / np.tan(_FIELD_OF_VIEW / 2)
     camera = np.array([[focal, 0.0, (shape[1] - 1) / 2], [0.0, focal, (shape[0] - 1) / 2], [0.0, 0.0, 1.0]])

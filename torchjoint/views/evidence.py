@@ -76,9 +76,8 @@ class Evidence:
         for name, expected in vars(Evidence.zeros(edges, points)).items():
             got = getattr(self, name)
             if isinstance(expected, Tensor) and (got.dtype, got.shape) != (expected.dtype, expected.shape):
-                raise ValueError(
-                    f"{name}: expected {list(expected.shape)} {expected.dtype}, got {got.shape} {got.dtype}"
-                )
+                told = f"{name}: expected {list(expected.shape)} {expected.dtype}"
+                raise ValueError(f"{told}, got {got.shape} {got.dtype}")
         for index in range(len(self.observations)):
             self.observations[index].check(points)
 
@@ -149,9 +148,8 @@ def observe_frame(
     with stopwatch("propagation"):
         labels = segments.labels.to(torch.int32) if segments.masks is None else segments.masks.atom
         overlaps = edge_overlaps(graph.adjacency, visible, labels, config.propagation.window)
-        observation = Observation(
-            frame.name, labels, visible, frame.intrinsics.float(), pose.float(), image, boundary, segments.masks
-        )
+        camera = frame.intrinsics.float(), pose.float()
+        observation = Observation(frame.name, labels, visible, *camera, image, boundary, segments.masks)
         if graph.scales is None:
             return FrameEvidence(observation, facing, overlaps)
         contours = edge_contours(graph.adjacency, visible, boundary)

@@ -82,9 +82,8 @@ def _ends_of_gaps(grid: Tensor, z: Tensor, of_noise: Tensor) -> Tensor:
     smooth = torch.nn.functional.pad((row[1:] == row[:-1]) & ~falls & ~rises, (0, 1))  # to the next cell
     long = (fall > 0) & smooth[fall - 1] & smooth[rise + 1] & (last > first)
     one, other, in_front = point[fall], point[rise + 1], torch.maximum(z[point[first]], z[point[last]])
-    nearer = in_front < torch.minimum(z[one], z[other]) - torch.maximum(
-        _step(z, of_noise, one), _step(z, of_noise, other)
-    )
+    step = torch.maximum(_step(z, of_noise, one), _step(z, of_noise, other))
+    nearer = in_front < torch.minimum(z[one], z[other]) - step
     return torch.stack([one, other])[:, long & nearer]
 
 

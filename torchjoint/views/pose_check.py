@@ -147,9 +147,7 @@ def edge_correlations(cloud: Cloud, frame: Frame, spacing: Tensor, config: Visib
     if len(projection.point) <= NEIGHBORS or not _is_scan(cloud, frame, spacing, config, projection):
         return None
     edges, scale = _image_edges(frame.image)
-    if edges is None:
-        return None
-    return _under_shifts(edges, *_depth_jumps(projection, scale))
+    return None if edges is None else _under_shifts(edges, *_depth_jumps(projection, scale))
 
 
 def border_strengths(segments: Tensor, image: Tensor) -> Tensor | None:
@@ -286,10 +284,8 @@ class PoseAgreement(NamedTuple):
     color_exchanged: float = math.nan
 
     def __str__(self) -> str:
-        return (
-            f"points in view {self.in_view:.1%}, depth residual {self.depth_residual:.1%}, "
-            f"colour residual {self.color_residual:.2f}"
-        )
+        residuals = f"depth residual {self.depth_residual:.1%}, colour residual {self.color_residual:.2f}"
+        return f"points in view {self.in_view:.1%}, {residuals}"
 
 
 class _Look(NamedTuple):

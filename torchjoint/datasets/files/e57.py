@@ -13,11 +13,10 @@ from typing import Any
 from xml.parsers import expat
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from torchjoint.datasets.cameras import poses_from_quaternions
-from torchjoint.datasets.files.columns import CloudFile, colors_of_all, tell_not_read
+from torchjoint.datasets.files.columns import Array, CloudFile, colors_of_all, tell_not_read
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, open_file
 from torchjoint.runtime.messages import needed_for
@@ -35,8 +34,6 @@ _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _RGB = ("colorRed", "colorGreen", "colorBlue")
 _READ = (*_XYZ, *_SPHERICAL, *_RGB, "cartesianInvalidState", "sphericalInvalidState", "isColorInvalid")
 _KNOWN = re.compile("cartesian|spherical|color|isColor|isIntensity|isTimeStamp|intensity|row|column|return|timeStamp")
-
-Array = npt.NDArray[Any]
 
 
 def read_e57(path: Path) -> CloudFile:

@@ -14,12 +14,11 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import CloudFile, colors_of_all, unit_colors
+from torchjoint.datasets.files.columns import Array, CloudFile, colors_of_all, unit_colors
 from torchjoint.datasets.files.readers import RASTERS, decode_image
 from torchjoint.datasets.files.text import path_inside
 from torchjoint.runtime import bounds
@@ -27,7 +26,6 @@ from torchjoint.runtime.foreign_files import has_file, parse_json, read_file
 from torchjoint.runtime.messages import needed_for
 
 SUFFIXES = (".obj", ".glb", ".gltf", ".off", ".stl")
-Array = npt.NDArray[Any]
 #: Formats of textures. TGA has no mark at its start, so it is tried last.
 TEXTURES = (*RASTERS, "TGA")
 #: Extensions of glTF that do not change where points are.
@@ -116,12 +114,9 @@ def _joined(parts: Sequence[Any], name: str) -> CloudFile:
             is_whole = has_colors and len(of_part) == len(points[-1])
             own = unit_colors(np.asarray(of_part)[:, :3]) if is_whole else None
             colors.append((str(part.metadata.get("name")), own))
-    triangles = np.concatenate([np.empty((0, 3), np.int64), *faces])
-    return CloudFile(
-        torch.from_numpy(np.concatenate([np.empty((0, 3)), *points])),
-        colors_of_all(colors, name, "parts"),
-        faces=torch.from_numpy(triangles) if len(triangles) else None,
-    )
+    vertices = torch.from_numpy(np.concatenate([np.empty((0, 3)), *points]))
+    triangles = torch.from_numpy(np.concatenate(faces)) if any(map(len, faces)) else None
+    return CloudFile(vertices, colors_of_all(colors, name, "parts"), faces=triangles)
 
 
 def _color_twice(part: Any) -> None:

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain, typed
+from torchjoint.datasets.files.columns import POINTS, Array, CloudFile, cloud_of, plain, typed
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime.foreign_files import damage_is, dict_of, open_file, read_file
 
@@ -53,7 +52,7 @@ class Pcd:
     width: int  #: points per row, and rows
     height: int
     #: arrays [N] by name, or [N, count] if a field has several values per point
-    fields: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    fields: Mapping[str, Array] = field(default_factory=dict)
 
     def cloud(self, name: str) -> CloudFile:
         """Points, NaN where the sensor had no return; colours and normals, if any; warnings begin with `name`."""
@@ -125,7 +124,7 @@ def _field_types(
     return fields
 
 
-def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, npt.NDArray[Any]]:
+def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, Array]:
     ends = np.cumsum([np.prod(dtype.shape, dtype=int) for dtype in header.fields.values()])
     columns = ends[-1]
     with damage_is(f"{path}: expected lines of {columns} numbers"):
@@ -140,7 +139,7 @@ def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, npt.NDA
     }
 
 
-def _read_compressed(path: Path, body: memoryview, header: PcdHeader, expected: int) -> dict[str, npt.NDArray[Any]]:
+def _read_compressed(path: Path, body: memoryview, header: PcdHeader, expected: int) -> dict[str, Array]:
     if len(body) < 8:
         raise ValueError(f"{path}: truncated after the header")
     compressed, uncompressed = struct.unpack("<II", body[:8])

@@ -12,17 +12,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import COLORS, NO_METRE, CloudFile, cloud_of, plain, tell_not_read, typed
+from torchjoint.datasets.files.columns import COLORS, NO_METRE, Array, CloudFile, cloud_of, plain, tell_not_read, typed
 from torchjoint.datasets.files.text import parse_integer
 from torchjoint.runtime import bounds
 from torchjoint.runtime.files import atomic_write
 from torchjoint.runtime.foreign_files import damage_is, read_file
-
-Array = npt.NDArray[Any]
 
 #: Largest size of a header, bytes; some writers list thousands of comments.
 MAX_HEADER = 1 << 20
@@ -98,7 +95,7 @@ def read_ply(path: Path) -> CloudFile:
         return _assembled(elements, str(path))
 
 
-def read_vertex_property(path: Path, *names: str) -> npt.NDArray[np.int64] | None:
+def read_vertex_property(path: Path, *names: str) -> Array | None:
     """Reads an integer property of the vertices, [N]: the last one, which is the newest, of these names; None: none."""
     found = {name: one for name, one in _read_elements(path).get("vertex", {}).items() if name in names}
     if not found:
@@ -435,7 +432,7 @@ class PlyRecords(NamedTuple):
                 bodies[element] = np.concatenate([rows, last.reshape(len(rows), 4)], axis=1)
         return b"".join([*lines, *map(_joined, bodies.values()), self.rest])
 
-    def some_vertices(self, which: npt.NDArray[np.bool_], triangles: npt.NDArray[np.int64] | None) -> bytes:
+    def some_vertices(self, which: Array, triangles: Array | None) -> bytes:
         """A file with some of the vertices, all their properties, and these triangles of the new vertices, if any."""
         first = next(i for i, line in enumerate(self.head) if line.split()[:1] == [b"element"])
         start, end = _section(self.head, "vertex")

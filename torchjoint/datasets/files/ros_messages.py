@@ -5,12 +5,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, interpolate_poses
-from torchjoint.datasets.files.columns import POINTS, CloudFile, cloud_of, plain, repaired
+from torchjoint.datasets.files.columns import POINTS, Array, CloudFile, cloud_of, plain, repaired
 from torchjoint.datasets.files.readers import decode_image, rgb_of
 from torchjoint.datasets.files.ros_bag import Bag
 from torchjoint.runtime.foreign_files import dict_of
@@ -79,7 +78,7 @@ def depth_image(message: Any, name: str) -> Tensor:
     return torch.from_numpy(np.where(np.isfinite(depth) & (depth > 0) & (raw != 65535), depth, np.float32(0)))
 
 
-def _pixels(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> npt.NDArray[Any]:
+def _pixels(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> Array:
     """[H, W, channels] of an Image, whose rows may be longer than their pixels."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     used = width * channels * dtype.itemsize

@@ -10,13 +10,11 @@ import re
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
-from torchjoint.datasets.files.columns import NO_METRE, NOT_READ, POINTS, CloudFile, cloud_of, plain
+from torchjoint.datasets.files.columns import NO_METRE, NOT_READ, POINTS, Array, CloudFile, cloud_of, plain
 from torchjoint.runtime.foreign_files import damage_is, no_twice, read_file
 from torchjoint.scene.checks import tell_half
 
@@ -35,8 +33,6 @@ NAMES = ("x", "y", "z", "r", "g", "b", "nx", "ny", "nz")
 UNIT, MOST_UNIT = 0.02, 0.95
 #: A column that counts fewer rows may be a coordinate.
 FEWEST_COUNTED = 10
-
-Array = npt.NDArray[Any]
 
 
 def read_text_cloud(path: Path, letters: str | None) -> CloudFile:

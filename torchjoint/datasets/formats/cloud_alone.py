@@ -102,10 +102,8 @@ def points_on(points: Tensor, faces: Tensor, colors: Tensor | None, name: str) -
 
     loose = torch.ones(len(points), dtype=torch.bool)
     loose[faces] = False  # points beside the meshes
-    return (
-        torch.cat([between(points), points[loose].double()]),
-        None if colors is None else torch.cat([between(colors).float(), colors[loose]]),
-    )
+    colors = None if colors is None else torch.cat([between(colors).float(), colors[loose]])
+    return torch.cat([between(points), points[loose].double()]), colors
 
 
 def _areas(corners: Tensor) -> Tensor:

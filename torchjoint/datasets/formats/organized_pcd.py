@@ -86,11 +86,8 @@ def _intrinsics(path: Path, points: Tensor, known: Tensor, width: int) -> Tensor
         focal, center = np.polyfit(slope.numpy(), pixel.numpy(), 1)
         offset = float((focal * slope + center - pixel).abs().max())
         if not (offset <= LARGEST_OFFSET and focal > 0):
-            warnings.warn(
-                f"{path}: expected points on the rays of a pinhole camera's pixels, got one {offset:.3g} px off its "
-                "ray: read as a cloud alone, without an image",
-                stacklevel=3,
-            )
+            told = f"{path}: expected points on the rays of a pinhole camera's pixels, got one {offset:.3g} px off"
+            warnings.warn(f"{told} its ray: read as a cloud alone, without an image", stacklevel=3)
             return None
         matrix[axis, axis], matrix[axis, 2] = focal, center
     return matrix

@@ -75,9 +75,8 @@ def load(path: Path, options: recording.Options) -> Scene:
     frames = _read_frames(folder, scan, path if has_file(path) else recording.without_case(path / f"{scan}.sens"))
     instances, images = partial(vertex_instances, folder, scan), image_instances(folder, scan, frames)
     clouds = [folder / f"{scan}{CLOUD}"]
-    return replace(
-        recording.scene_of_frames(folder, frames, options, clouds, instances=instances, images=images), name=scan
-    )
+    scene = recording.scene_of_frames(folder, frames, options, clouds, instances=instances, images=images)
+    return replace(scene, name=scan)
 
 
 def scenes(path: Path) -> dict[str, Path]:

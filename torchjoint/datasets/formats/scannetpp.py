@@ -94,9 +94,8 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
         camera = read_camera(read_record(folder / UNDISTORTED, "the camera of images"), kept[0][0])
         kept = [(file, shot._replace(camera=camera)) for file, shot in kept]
     depth = folder / "depth"
-    frames = read_shots(
-        [Shot(file, one.camera, one.world_to_camera, file.stem, depth / f"{file.stem}.png") for file, one in kept]
-    )
+    shots = [Shot(file, one.camera, one.world_to_camera, file.stem, depth / f"{file.stem}.png") for file, one in kept]
+    frames = read_shots(shots)
     frames.like_depth = "depth" if has_folder(depth) else None  # that of the iPhone is not that of dslr
     return frames
 

@@ -15,12 +15,10 @@ import numpy.typing as npt
 from torchjoint.results import boxes
 from torchjoint.results.objects import level_axes, members, segment_records
 from torchjoint.results.result import Result
-from torchjoint.results.upright import up_direction
+from torchjoint.results.upright import Array, up_direction
 from torchjoint.runtime.files import write_text
 from torchjoint.runtime.foreign_files import csv_text
 from torchjoint.runtime.threads import on_cpu
-
-Array = npt.NDArray[np.float64]
 
 #: The columns of the table of segments; lengths in metres, places in the coordinates of the cloud.
 COLUMNS = ("id", "name", "points", "x", "y", "z", "size_x", "size_y", "size_z", "confidence", "bottom", "top", "area")

@@ -58,9 +58,8 @@ def export_sam(folder: Path, result: Result) -> None:
     def write(index: int) -> None:
         name, (height, width) = files[index], result.images[index].shape
         image = {"image_id": index, "width": width, "height": height, "file_name": f"{name}.jpg"}
-        annotations = [
-            mask.record(mask.segment) | {"crop_box": [0, 0, width, height]} for mask in masks_of(result.images[index])
-        ]
+        crop = {"crop_box": [0, 0, width, height]}
+        annotations = [mask.record(mask.segment) | crop for mask in masks_of(result.images[index])]
         text = json.dumps({"image": image, "annotations": annotations})
         (folder / f"{name}.json").write_text(text, encoding="utf-8")
 
@@ -100,14 +99,13 @@ def export_coco(path: Path, result: Result) -> None:
                     **({"score": round(scores[mask.segment], 4)} if mask.segment < len(scores) else {}),
                 }
             )
+    named = [{"id": number, "name": name, "supercategory": UNNAMED} for number, name in enumerate(categories, 1)]
     record = {
         "info": {"description": "torchjoint: one segment_id is one object, in every image"},
         "licenses": [],
         "images": images,
         "annotations": annotations,
-        "categories": [
-            {"id": number, "name": name, "supercategory": UNNAMED} for number, name in enumerate(categories, 1)
-        ],
+        "categories": named,
     }
     write_text(path, json.dumps(record))
 

@@ -58,9 +58,8 @@ class Boundaries(NamedTuple):
         for number, name in enumerate(AVERAGED):
             if name in values:
                 averaged[:, number] = sum_by(pair, values[name].double(), num_pairs)
-        binned = _Computed(
-            [name for name in MEASURES if name in values], lambda name: _histogram(pair, num_pairs, values[name], name)
-        )
+        measured = [name for name in MEASURES if name in values]
+        binned = _Computed(measured, lambda name: _histogram(pair, num_pairs, values[name], name))
         counted = binned if num_pairs > MANY_BOUNDARIES else dict(binned)
         return cls(torch.bincount(pair, minlength=num_pairs), averaged, counted)
 

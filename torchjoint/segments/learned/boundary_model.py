@@ -229,9 +229,8 @@ def _model(arrays: dict[str, NDArray[Any]], features: tuple[str, ...]) -> Bounda
     thresholds = tuple(take("thresholds", "f", 1).tolist())
     baselines = take("baselines", "f", 2)
     if not 1 <= len(thresholds) <= MOST_ROUNDS or baselines.shape[1] != len(thresholds):
-        raise ValueError(
-            f"baselines: expected [members, rounds] for {len(thresholds)} rounds, got {list(baselines.shape)}"
-        )
+        told = f"baselines: expected [members, rounds] for {len(thresholds)} rounds"
+        raise ValueError(f"{told}, got {list(baselines.shape)}")
     members = []
     for place, of_member in enumerate(baselines.tolist()):
         rounds, calibrations = [], []

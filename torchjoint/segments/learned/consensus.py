@@ -300,9 +300,8 @@ def vote(
     """
     num_segments = torch.tensor([int(one.max()) + 1 for one in segments])
     first = num_segments.cumsum(0) - num_segments
-    in_segment = torch.cat(
-        [counted_pairs(of_superpoint, one + start, size) for one, start in zip(segments, first, strict=True)], 1
-    )
+    apart = (one + start for one, start in zip(segments, first, strict=True))
+    in_segment = torch.cat([counted_pairs(of_superpoint, one, size) for one in apart], 1)
     num_regions = int(of_superpoint.max()) + 1
     region, segment, _ = in_segment
     ends = pairs_in_one_group(region, segment, num_regions) if touching is None else of_superpoint[touching]

@@ -66,9 +66,8 @@ class ImageCounts(NamedTuple):
             return self._replace(superpoint=of_row.int())
         key, row = torch.unique(self.segment.long() * num_groups + of_row, return_inverse=True)
         num_points = sum_by(row, self.num_points, len(key))
-        return self._replace(
-            superpoint=(key % num_groups).int(), segment=(key // num_groups).int(), num_points=num_points
-        )
+        group, segment = (key % num_groups).int(), (key // num_groups).int()
+        return self._replace(superpoint=group, segment=segment, num_points=num_points)
 
     @classmethod
     def union(cls, counts: Sequence[ImageCounts], starts: Sequence[int]) -> ImageCounts:
@@ -120,9 +119,8 @@ def image_agreement(images: ImageCounts, num_regions: int, pairs: Tensor) -> dic
         of the other; range of the agreement. NaN where no image sees both regions.
     """
     with all_threads():
-        best, (best_union, low, high), (common, product, rounded, squares, num_views) = agreement_sums(
-            *images, num_regions, pairs, min_points=MIN_POINTS, resolution=OVERLAP_RESOLUTION
-        )
+        sums = agreement_sums(*images, num_regions, pairs, min_points=MIN_POINTS, resolution=OVERLAP_RESOLUTION)
+    best, (best_union, low, high), (common, product, rounded, squares, num_views) = sums
     views = num_views.double()
     mean = rounded.double() * OVERLAP_RESOLUTION / views
     mean_square = squares.double() * OVERLAP_RESOLUTION**2 / views

@@ -118,9 +118,8 @@ class MaskLinkage:
         Regions that most views show without a mask stay.
         """
         stays = self.confirmed(of_superpoint) | self.masks.unmasked(of_superpoint)
-        return mask_merges(
-            ends, cost, count, *self._tables(of_superpoint), APART_WEIGHT, self.prior_weight, math.inf, stays, MIN_SIZE
-        )
+        masks = (*self._tables(of_superpoint), APART_WEIGHT, self.prior_weight)
+        return mask_merges(ends, cost, count, *masks, math.inf, stays, MIN_SIZE)
 
     def confirmed(self, of_superpoint: Tensor) -> Tensor:
         """Whether a mask confirms each region, [R] bool."""

@@ -41,12 +41,11 @@ def falls_apart(tree: Tree, gain: Tensor) -> Tensor:
     """
     best = torch.zeros(len(tree.parent), dtype=torch.float64)
     best[tree.inner] = gain
-    for number in range(len(LEVELS)):  # parts before what they make
-        nodes = torch.nonzero((tree.level == number) & (tree.parent >= 0)).squeeze(1)
+    levels = [((tree.level == number) & (tree.parent >= 0)).nonzero().squeeze(1) for number in range(len(LEVELS))]
+    for nodes in levels:  # parts before what they make
         best.index_add_(0, tree.parent[nodes], best[nodes].clamp(min=0))
     apart = best > 0
-    for number in reversed(range(len(LEVELS))):
-        nodes = torch.nonzero((tree.level == number) & (tree.parent >= 0)).squeeze(1)
+    for nodes in reversed(levels):
         apart[nodes] &= apart[tree.parent[nodes]]
     return apart
 

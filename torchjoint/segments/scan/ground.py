@@ -181,6 +181,5 @@ def rising(seen: Directions, height: Tensor, which: Tensor, object_height: float
     row -= row.min()
     used = torch.ones_like(column, dtype=torch.bool) if used is None else used
     with all_threads():
-        return has_points_above(
-            column, row, height, used, which, num_columns, int(row.max()) + 1, object_height, OVERHANG
-        )
+        size = num_columns, int(row.max()) + 1
+        return has_points_above(column, row, height, used, which, *size, object_height, OVERHANG)
