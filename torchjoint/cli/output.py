@@ -60,7 +60,8 @@ def summarize(result: Segmentation, out: Path) -> None:
     """Prints the numbers of points, segments and images, the seconds of the run, and the written files."""
     _, parts = read_record(out)
     images, of_segments = len(result.images), f"{len(result.points)} points in {result.num_point_segments} segment"
-    say(f"{of_segments}{'s' * (result.num_point_segments != 1)}, {images} image{'s' * (images != 1)}")
+    of_images = f", {images} image{'s' * (images != 1)}" if images else ""
+    say(f"{of_segments}{'s' * (result.num_point_segments != 1)}{of_images}")
     say(f"{sum(parts.values()):.1f} seconds: {_listed(parts)}")
     say(f"segmenting, added up over threads: {_listed(result.seconds)}")
     if (masks := count_masks(out)) is not None:

@@ -172,7 +172,7 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
     """
     if file.suffix.lower() != ".csv":
         return None
-    text = read_text(file, "a table of segments (CSV, UTF-8)", bounds.JSON_BYTES)
+    text = read_text(file, "a table of segments (save it as CSV UTF-8)", bounds.JSON_BYTES)
     header = text.partition("\n")[0]
     table = csv.DictReader(io.StringIO(text), delimiter=";" if header.count(";") > header.count(",") else ",")
     if not {"id", "name", "points"} <= set(table.fieldnames or ()):
