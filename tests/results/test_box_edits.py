@@ -602,7 +602,9 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     with pytest.raises(SystemExit, match=r"names\.csv: expected a table of segments \(save it as CSV UTF-8\) as text"):
         run("edits", "import", out, table)
     table.unlink()
-    with pytest.raises(SystemExit, match=r"names\.csv: missing; expected a table of segments \(save it as CSV UTF-8\)$"):
+    with pytest.raises(
+        SystemExit, match=r"names\.csv: missing; expected a table of segments \(save it as CSV UTF-8\)$"
+    ):
         run("edits", "import", out, table)
     table.write_text("id,name\n")
     with pytest.raises(SystemExit, match="expected the columns id, name and points"):

@@ -414,6 +414,7 @@ def test_a_result_of_a_program_is_saved(scene, result, tmp_path):
     assert torch.equal(stored.hierarchy.heights, named.hierarchy.heights)
     assert (stored.segment_names, stored.config) == ({0: "floor"}, tj.Config())
     assert len(stored.scene.frames) == len(scene.frames)
+    assert [one.name for one in stored.records()[:2]] == ["floor", ""]
     with pytest.raises(FileExistsError, match="exists already"):
         named.save(tmp_path / "out")
     (tmp_path / "out" / "edits.json").unlink()  # corrections are not replaced

@@ -126,6 +126,7 @@ class SegmentRecord:
         color: [3] mean RGB in [0, 1] of its points; None if the cloud has no colours.
         confidence: the probability that it is an object; None if unknown: :attr:`torchjoint.Segmentation.confidence`.
         views: the frames that see it, in the order of the frames.
+        name: given by hand, or by masks; "": none.
     """
 
     id: int
@@ -135,6 +136,7 @@ class SegmentRecord:
     color: tuple[float, ...] | None
     confidence: float | None
     views: tuple[SegmentView, ...]
+    name: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """The record as written to segments.json: rounded to a hundredth of a millimetre, if in metres."""

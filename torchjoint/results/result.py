@@ -90,8 +90,8 @@ class Result(Segmentation):
         return None if self.saved_embeddings is None else self.saved_embeddings.of(self.points)
 
     def records(self) -> list[SegmentRecord]:
-        """Describes each segment: points, centre, box, colour, and the frames that see it."""
-        return segment_records(self.scene, self)
+        """Describes each segment: name, points, centre, box, colour, and the frames that see it."""
+        return [replace(one, name=self.segment_names.get(one.id, "")) for one in segment_records(self.scene, self)]
 
     def cloud(self, segment: int) -> Scene:
         """The segment's own points, with their colours; a scene without frames.
