@@ -192,9 +192,10 @@ def _read_off(data: bytes, name: str) -> CloudFile:
     rows, faces = lines[first : first + count], lines[first + count :]
     if (len(rows), len(faces)) != (count, told):  # edges have no rows
         raise ValueError(f"{name}: expected {told} rows of faces, as its head tells, got {len(faces)}")
-    if any(len(face) > int(face[0]) + 1 for face in faces):
-        warnings.warn(f"{name}: colours of faces are not read; those of vertices (COFF) are", stacklevel=4)
     width = min(map(len, rows), default=0)
+    if any(len(face) > int(face[0]) + 1 for face in faces) or any(len(row) > width + 1 for row in rows):
+        told = f"{name}: colours of faces, and of some vertices, are not read"
+        warnings.warn(f"{told}; those of all vertices (COFF) are", stacklevel=4)
     values = np.array([row[:width] for row in rows], np.float64).reshape(len(rows), max(width, 3))
     points, values = torch.from_numpy(values[:, :3]), values[:, 3:]
     is_first = b"NC" in head and width >= 9 and bool(values[:, :3].min() >= 0) and bool(values[:, :3].max() > 1)
