@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import pickle
+import shutil
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ from torchjoint.results import folder
 from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports import SUFFIXES
 from torchjoint.results.exports.clouds import export_las
-from torchjoint.results.figures import overlay
-from torchjoint.results.folder import write_result
+from torchjoint.results.figures import overlay, overview
+from torchjoint.results.folder import read_granularity, write_result
 from torchjoint.results.objects import oriented_box
 from torchjoint.results.render import label_colors
 from torchjoint.results.upright import fitted, up_direction
@@ -401,6 +402,23 @@ def test_names_at_other_levels():
     assert handle.at(0.5).segment_names == {}
     body = dataclasses.replace(named.at(1.0), segment_names={0: "body"})
     assert body.at(0.5).segment_names == {0: "body"}
+
+
+def test_all_of_a_result_that_was_read_is_saved(out, tmp_path, monkeypatch):
+    """That of frames was an error; vectors were lost; the level was told as .5."""
+    monkeypatch.setattr("torchjoint.results.folder.overview", overview)
+    shutil.copytree(out, tmp_path / "out")
+    tj.load_result(tmp_path / "out").embed(lambda crops: crops.mean((2, 3)), size=8).save(tmp_path / "out")
+    read = tj.load_result(tmp_path / "out").at(0.7)
+    read.save(tmp_path / "again")
+    again = tj.load_result(tmp_path / "again")
+    assert torch.equal(again.points, read.points)
+    assert torch.equal(again.embeddings.vectors, read.embeddings.vectors)
+    assert torch.equal(again.at(read_granularity(tmp_path / "again")).points, read.points)
+    plain = tj.Segmentation(read.points, list(read.images))
+    assert tj.Result.of(plain, read.scene).names == read.names
+    with pytest.raises(ValueError, match="outside of the parts of a result"):
+        read.save(tmp_path / "out" / "images" / "more.png")
 
 
 def test_a_result_of_a_program_is_saved(scene, result, tmp_path):

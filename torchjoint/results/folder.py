@@ -99,7 +99,7 @@ def write_result(
     result: Segmentation,
     config: Config,
     source: str,
-    granularity: float = 0.5,
+    granularity: float | None = 0.5,
     *,
     made: Mapping[str, Any] | None = None,
     seconds: Mapping[str, float] | None = None,
@@ -252,7 +252,7 @@ def _write_label_images(folder: Path, result: Segmentation) -> int:
 
 
 def _run_record(
-    scene: Scene, result: Segmentation, config: Config, source: str, granularity: float, last_label: int
+    scene: Scene, result: Segmentation, config: Config, source: str, granularity: float | None, last_label: int
 ) -> dict[str, Any]:
     packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d", "opencv-contrib-python-headless")
     versions = {"python": platform.python_version()}

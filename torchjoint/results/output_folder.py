@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -22,10 +23,12 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
+import torch
+
 from torchjoint.config import Config
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.edits import Edits, write_edits
-from torchjoint.results.folder import PARTS, write_result
+from torchjoint.results.folder import PARTS, is_part, write_result
 from torchjoint.results.manifest import listed_files, manifest_checksum
 from torchjoint.results.mask_report import names_of_masks
 from torchjoint.results.parts import Parts
@@ -111,6 +114,8 @@ def output_folder(
         inputs: what the run reads; `out` must not contain it.
     """
     outputs.check_no_input(out, inputs)
+    if is_part(out):
+        raise ValueError(f"-o: expected a path outside of the parts of a result, got {out}")
     out = Path(os.path.abspath(out))
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
@@ -240,9 +245,13 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
 @on_cpu()
 def save_result(folder: Path, result: Result, overwrite: bool) -> None:
     """See :meth:`torchjoint.Result.save`."""
-    with output_folder(folder, f"a result of process {os.getpid()}", overwrite=overwrite) as partial:
+    levels = () if result.hierarchy is None else (0.5, *(step / 100 for step in range(101)))  # those of the viewer
+    level = next((one for one in levels if torch.equal(result.at(one).points, result.points)), None)
+    with output_folder(folder, f"a result of {time.time_ns()}", overwrite=overwrite) as partial:  # none is resumed
         assert partial is not None  # only runs with a key can be finished
-        write_result(partial, result.scene, result, result.config or Config(), str(folder))
+        write_result(partial, result.scene, result, result.config or Config(), str(folder), level)
+        if result.embeddings is not None:
+            result.embeddings.save(partial)
         parts, saved = Parts(result), replace(result, segment_names=names_of_masks(partial))
         names = {one: name for one, name in result.segment_names.items() if one < result.num_point_segments}
         steps = edits_of_names(saved, names, parts.of_point)

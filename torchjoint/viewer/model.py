@@ -84,6 +84,7 @@ class Model:
         self.pale = 235.0
         self.table, self.names = self.parts.table(edits), self.parts.names(edits)
         self.clicks: tuple[Click, ...] = ()
+        self.waiting: list[tuple[str, int, Table]] = []  # names of things that are gone, their colours and points
         self._picked: tuple[Edit, ...] = ()  # shown as if it were a correction
         self._before: list[tuple[Edit, ...]] = []  # the corrections before each change, for undo
         self.measures = Measures(self.parts, up)
@@ -202,13 +203,30 @@ class Model:
         else:
             self._add(step)
 
-    def take_names(self, before: Model) -> None:
-        """Gives the names of an earlier model to the segments of the same colour that have none."""
-        named = {int(before.measures.hues[segment]): name for segment, name in before.names.items()}
-        for segment in np.unique(self.table).tolist():
-            name = named.get(int(self.measures.hues[segment]))
-            if name and segment not in self.names:
-                self._add(Edit("name", (self._place_of(segment, self.table),), name, self.edits.granularity))
+    def take_names(self, before: Model, has_grown: bool) -> None:
+        """Gives each name of an earlier model to the segment of the same thing; without one, it waits in `waiting`.
+
+        It is the segment of most of the thing's points, if most of its points are theirs, or if it has the thing's
+        colour. If the cloud `has_grown`, it is the segment of the same colour.
+        """
+        segments, of_point = before.table[before.parts.of_point], self.table[self.parts.of_point]
+        hues, sizes = self.measures.hues, np.bincount(of_point, minlength=len(self.table))
+        named = [
+            (name, int(before.measures.hues[one]), np.flatnonzero(segments == one))
+            for one, name in before.names.items()
+        ]
+        taken = set[int]()
+        for name, hue, points in (*sorted(named, key=lambda one: -len(one[2])), *before.waiting):
+            places = of_point[hues[of_point] == hue] if has_grown else of_point[points]
+            shared = np.bincount(places, minlength=len(sizes))
+            found = int(shared.argmax())
+            half = sizes[found] if hues[found] != hue else min(sizes[found], len(places))
+            if found in taken or 2 * shared[found] <= half:
+                self.waiting.append((name, hue if has_grown else -1, points))
+                continue
+            taken.add(found)
+            if self.names.get(found) != name:
+                self._add(Edit("name", (self._place_of(found, self.table),), name, self.edits.granularity))
 
     def undo(self) -> str:
         """Undoes the last change, or the last correction of edits.json; says which; "": there is nothing to undo."""
