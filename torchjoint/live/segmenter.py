@@ -399,6 +399,7 @@ class LiveSegmenter(nn.Module):
             self._volume.restore(values["volume"])  # the last check: nothing can fail any more
         self._origin, self._pose, self._views, self._to_compare, self._ids = origin, pose, views, frames, ids
         self._keyframes, self._in_memory, self._file = keyframes, stored._in_memory, stored._file
+        self._at_rest, self._num_at_rest = [], 0  # the frames of before may be of another recording
 
     def _stored(self, keyframe: Keyframe) -> Keyframe:
         """The same, in the file if there is no memory left."""

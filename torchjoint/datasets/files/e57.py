@@ -8,6 +8,7 @@ the nearest points. The library verifies the checksum of each page.
 import math
 import re
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -50,6 +51,8 @@ def read_e57(path: Path) -> CloudFile:
             if sum(counts) == 0 or min(counts) < 0:
                 raise ValueError(f"expected scans with points, got {counts} points")
             bounds.check_points(sum(counts), path.stat().st_size)
+            if images := len(file.root["images2D"]) if file.root.isDefined("images2D") else 0:
+                warnings.warn(f"{path}: its {images} images are not read, the points are", stacklevel=4)
             scans = [_scan(file, index, f"{path}: scan {index}") for index in range(file.scan_count)]
     except Exception as error:  # the library raises several types of its own
         raise ValueError(f"{path}: not a whole E57 file: {str(error).strip() or type(error).__name__}") from error
