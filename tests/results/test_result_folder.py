@@ -417,6 +417,10 @@ def test_all_of_a_result_that_was_read_is_saved(out, tmp_path, monkeypatch):
     assert torch.equal(again.at(read_granularity(tmp_path / "again")).points, read.points)
     plain = tj.Segmentation(read.points, list(read.images))
     assert tj.Result.of(plain, read.scene).names == read.names
+    far = tj.Result.of(tj.Segmentation(1000 * read.points, ()), tj.Scene(read.scene.points))
+    with pytest.raises(ValueError, match=r"points\.npz: not a whole result: labels: expected 0 to"):
+        far.save(tmp_path / "far")
+    assert not (tmp_path / "far").exists()
     with pytest.raises(ValueError, match="outside of the parts of a result"):
         read.save(tmp_path / "out" / "images" / "more.png")
 

@@ -28,7 +28,7 @@ import torch
 from torchjoint.config import Config
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.edits import Edits, write_edits
-from torchjoint.results.folder import PARTS, is_part, write_result
+from torchjoint.results.folder import PARTS, is_part, read_points, write_result
 from torchjoint.results.manifest import listed_files, manifest_checksum
 from torchjoint.results.mask_report import names_of_masks
 from torchjoint.results.parts import Parts
@@ -250,6 +250,7 @@ def save_result(folder: Path, result: Result, overwrite: bool) -> None:
     with output_folder(folder, f"a result of {time.time_ns()}", overwrite=overwrite) as partial:  # none is resumed
         assert partial is not None  # only runs with a key can be finished
         write_result(partial, result.scene, result, result.config or Config(), str(folder), level)
+        read_points(partial)  # what could not be read again, such as ids above the number of points, is an error now
         if result.embeddings is not None:
             result.embeddings.save(partial)
         parts, saved = Parts(result), replace(result, segment_names=names_of_masks(partial))

@@ -167,7 +167,7 @@ class Result(Segmentation):
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
         """Writes a folder as ``torchjoint segment`` does, for the other commands and :func:`torchjoint.load_result`.
 
-        Vectors and names are written, too, but no names of segments without points.
+        Vectors and names are written, too, but no names of segments without points, and no points without a label.
 
         Args:
             folder: becomes the result, as a whole; an error leaves nothing there.
