@@ -417,6 +417,9 @@ def test_all_of_a_result_that_was_read_is_saved(out, tmp_path, monkeypatch):
     assert torch.equal(again.at(read_granularity(tmp_path / "again")).points, read.points)
     plain = tj.Segmentation(read.points, list(read.images))
     assert tj.Result.of(plain, read.scene).names == read.names
+    gap = tj.Result.of(tj.Segmentation(2 * (read.points > 0), ()), tj.Scene(read.scene.points))
+    dataclasses.replace(gap, segment_names={1: "of no point", 2: "\udcff"}).save(tmp_path / "gap")
+    assert tj.load_result(tmp_path / "gap").segment_names == {2: r"\udcff"}
     far = tj.Result.of(tj.Segmentation(1000 * read.points, ()), tj.Scene(read.scene.points))
     with pytest.raises(ValueError, match=r"points\.npz: not a whole result: labels: expected 0 to"):
         far.save(tmp_path / "far")
@@ -428,7 +431,7 @@ def test_all_of_a_result_that_was_read_is_saved(out, tmp_path, monkeypatch):
 def test_a_result_of_a_program_is_saved(scene, result, tmp_path):
     """Only the command line could write one."""
     at_level = tj.Result.of(result, scene, tj.Config()).at(0.7)
-    named = dataclasses.replace(at_level, segment_names={0: "floor", 10**6: "of an image"})
+    named = dataclasses.replace(at_level, segment_names={0: "floor", 10**6: "of an image", -1: "of none"})
     named.save(tmp_path / "out")
     stored = tj.load_result(tmp_path / "out")
     assert torch.equal(stored.points, named.points)

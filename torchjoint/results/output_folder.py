@@ -23,7 +23,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
-import torch
+import numpy as np
 
 from torchjoint.config import Config
 from torchjoint.results.edits import FILE as EDITS
@@ -37,6 +37,7 @@ from torchjoint.results.shared_edits import edits_of_names
 from torchjoint.runtime import outputs
 from torchjoint.runtime.files import FULL, PARTIAL, no_link
 from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import on_cpu
 
 #: Files in a partial folder: the marker that it is complete; the marker that the earlier result has moved.
@@ -245,16 +246,16 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
 @on_cpu()
 def save_result(folder: Path, result: Result, overwrite: bool) -> None:
     """See :meth:`torchjoint.Result.save`."""
-    levels = () if result.hierarchy is None else (0.5, *(step / 100 for step in range(101)))  # those of the viewer
-    level = next((one for one in levels if torch.equal(result.at(one).points, result.points)), None)
+    parts = Parts(result)
+    levels = (0.5, *(step / 100 for step in range(101)))  # those of the viewer
+    level = next((one for one in levels if np.array_equal(parts.level(one), parts.level(None))), None)
     with output_folder(folder, f"a result of {time.time_ns()}", overwrite=overwrite) as partial:  # none is resumed
         assert partial is not None  # only runs with a key can be finished
         write_result(partial, result.scene, result, result.config or Config(), str(folder), level)
         read_points(partial)  # what could not be read again, such as ids above the number of points, is an error now
         if result.embeddings is not None:
             result.embeddings.save(partial)
-        parts, saved = Parts(result), replace(result, segment_names=names_of_masks(partial))
-        names = {one: name for one, name in result.segment_names.items() if one < result.num_point_segments}
-        steps = edits_of_names(saved, names, parts.of_point)
-        if steps:
+        saved, named = replace(result, segment_names=names_of_masks(partial)), result.segment_names
+        names = {one: printable(named[one]) for one in result.points.unique().tolist() if one in named}
+        if steps := edits_of_names(saved, names, parts.of_point):
             write_edits(partial, Edits(parts.count, steps=steps, of=manifest_checksum(partial)))
