@@ -418,8 +418,8 @@ def test_all_of_a_result_that_was_read_is_saved(out, tmp_path, monkeypatch):
     plain = tj.Segmentation(read.points, list(read.images))
     assert tj.Result.of(plain, read.scene).names == read.names
     gap = tj.Result.of(tj.Segmentation(2 * (read.points > 0), ()), tj.Scene(read.scene.points))
-    dataclasses.replace(gap, segment_names={1: "of no point", 2: "\udcff"}).save(tmp_path / "gap")
-    assert tj.load_result(tmp_path / "gap").segment_names == {2: r"\udcff"}
+    dataclasses.replace(gap, segment_names={1: "of no point", 2: "cup"}).save(tmp_path / "gap")
+    assert tj.load_result(tmp_path / "gap").segment_names == {2: "cup"}
     far = tj.Result.of(tj.Segmentation(1000 * read.points, ()), tj.Scene(read.scene.points))
     with pytest.raises(ValueError, match=r"points\.npz: not a whole result: labels: expected 0 to"):
         far.save(tmp_path / "far")

@@ -124,9 +124,8 @@ def without_case(file: Path) -> Path:
     return file.with_name(_names(file.parent, file.parent.stat().st_mtime_ns).get(file.name.lower(), file.name))
 
 
-@lru_cache(maxsize=16)  # each frame asks for files of the same folders
-def _names(folder: Path, changed: int) -> dict[str, str]:
-    return {name.lower(): name for name in sorted(os.listdir(folder))}
+#: Each frame asks for files of the same folders.
+_names = lru_cache(maxsize=16)(lambda folder, _: {name.lower(): name for name in sorted(os.listdir(folder))})
 
 
 class Shot(NamedTuple):

@@ -133,6 +133,5 @@ def instances_in_boxes(points: Tensor, centers: Tensor, sizes: Tensor, axes: Ten
     instances = torch.full((len(points),), -1, dtype=torch.int64)
     large_first = torch.argsort(sizes.prod(dim=1), descending=True, stable=True)
     for box in large_first.tolist():
-        offset = (points.to(torch.float64) - centers[box]) @ axes[box]
-        instances[(offset.abs() <= sizes[box] / 2).all(dim=1)] = box
+        instances[(((points.double() - centers[box]) @ axes[box]).abs() <= sizes[box] / 2).all(dim=1)] = box
     return instances

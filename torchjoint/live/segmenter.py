@@ -442,8 +442,7 @@ class LiveSegmenter(nn.Module):
             self._at_rest = None
         elif self._num_at_rest & (self._num_at_rest - 1) == 0:
             self._at_rest.append(frame)
-            if warn_of_poses(self._at_rest):
-                self._at_rest = None
+            self._at_rest = None if warn_of_poses(self._at_rest) else self._at_rest
 
 
 def _check(frames: Sequence[Frame]) -> None:

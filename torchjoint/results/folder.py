@@ -147,10 +147,7 @@ def write_result(
 def _remove_earlier(folder: Path) -> None:
     """Deletes the parts of an interrupted run: with other parameters it may have written other files."""
     for path in (folder / part for part in PARTS if part != EDITS):  # a fused cloud's name is a pattern: it stays
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def read_points(folder: Path) -> PointResult:

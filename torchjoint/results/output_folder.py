@@ -15,15 +15,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
-
-import numpy as np
 
 from torchjoint.config import Config
 from torchjoint.results.edits import FILE as EDITS
@@ -37,7 +34,6 @@ from torchjoint.results.shared_edits import edits_of_names
 from torchjoint.runtime import outputs
 from torchjoint.runtime.files import FULL, PARTIAL, no_link
 from torchjoint.runtime.foreign_files import damage_is
-from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import on_cpu
 
 #: Files in a partial folder: the marker that it is complete; the marker that the earlier result has moved.
@@ -247,15 +243,14 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
 def save_result(folder: Path, result: Result, overwrite: bool) -> None:
     """See :meth:`torchjoint.Result.save`."""
     parts = Parts(result)
-    levels = (0.5, *(step / 100 for step in range(101)))  # those of the viewer
-    level = next((one for one in levels if np.array_equal(parts.level(one), parts.level(None))), None)
-    with output_folder(folder, f"a result of {time.time_ns()}", overwrite=overwrite) as partial:  # none is resumed
+    same = (one / 100 for one in (50, *range(101)) if (parts.level(one / 100) == parts.level(None)).all())
+    with output_folder(folder, f"a result {os.urandom(8).hex()}", overwrite=overwrite) as partial:  # none is resumed
         assert partial is not None  # only runs with a key can be finished
-        write_result(partial, result.scene, result, result.config or Config(), str(folder), level)
+        write_result(partial, result.scene, result, result.config or Config(), str(folder), next(same, None))
         read_points(partial)  # what could not be read again, such as ids above the number of points, is an error now
         if result.embeddings is not None:
             result.embeddings.save(partial)
-        saved, named = replace(result, segment_names=names_of_masks(partial)), result.segment_names
-        names = {one: printable(named[one]) for one in result.points.unique().tolist() if one in named}
-        if steps := edits_of_names(saved, names, parts.of_point):
+        there = {*result.points.unique().tolist()}
+        names = {one: name for one, name in result.segment_names.items() if one in there}
+        if steps := edits_of_names(replace(result, segment_names=names_of_masks(partial)), names, parts.of_point):
             write_edits(partial, Edits(parts.count, steps=steps, of=manifest_checksum(partial)))

@@ -57,14 +57,13 @@ class Result(Segmentation):
         if segmentation.cloud_checksum not in (None, zlib.crc32(scene.points.contiguous().numpy().data)):
             told = "in their order and dtype, got others; replace(segmentation, cloud_checksum=None) if they were moved"
             raise ValueError(f"scene: expected the points that were segmented, {told}")
-        frames = tuple(frame_names(scene.frames)) if own[1] else ()
-        for name, came in zip(segmentation.names, frames, strict=False):
+        for name, came in zip(segmentation.names, frames := frame_names(scene.frames) if own[1] else [], strict=False):
             if name and came and name != came:
                 raise ValueError(f"scene: expected frame {name!r}, got {came!r}; of another order or scene?")
         if segmentation.hierarchy is not None:
             segmentation, scene = segmentation.labelled(scene)
         values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
-        return cls(**values | {"names": segmentation.names or frames}, scene=scene, config=config)
+        return cls(**values | {"names": segmentation.names or tuple(frames)}, scene=scene, config=config)
 
     def at(self, granularity: float = 0.5) -> Self:
         """As :meth:`torchjoint.Segmentation.at`; a segment has the name, if it is one, that most of its points had.

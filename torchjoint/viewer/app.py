@@ -91,8 +91,7 @@ class Viewer:
             ValueError: edits.json is damaged, or belongs to another result.
         """
         with self._lock:
-            edits = None if shown is None else shown.edits(result)
-            self._show(self.model.of_result(result, edits), shown, False)
+            self._show(self.model.of_result(result, None if shown is None else shown.edits(result)), shown, False)
 
     def grow(self, result: Result, shading: Shading, shown: Shown | None = None, hues: Table | None = None) -> None:
         """Shows a result with another cloud; what is selected or named stays so, by the colours of the segments.
@@ -312,10 +311,7 @@ class Viewer:
         self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
 
     def _on_view(self, action: str, client: Any) -> None:
-        if action == RESET:
-            self._eyes.show_all(client, self.result.scene)
-        else:
-            self._select(())
+        self._eyes.show_all(client, self.result.scene) if action == RESET else self._select(())
 
     def _on_frame(self) -> None:
         self._draw_image()
@@ -343,11 +339,10 @@ class Viewer:
         return self.model.names.get(selected[0], "") if len(selected) == 1 else ""
 
     def _on_correct(self, action: str) -> None:
-        if action == "Undo":
-            if self.model.clicks:
-                self.model.unclick()
-            else:
-                self._say(f"undone: {self.model.undo() or 'nothing is left to undo'}", "blue")
+        if action == "Undo" and self.model.clicks:
+            self.model.unclick()
+        elif action == "Undo":
+            self._say(f"undone: {self.model.undo() or 'nothing is left to undo'}", "blue")
         else:
             self.model.join() if action == "Join" else self.model.split()
 

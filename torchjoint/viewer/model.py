@@ -105,8 +105,7 @@ class Model:
         model.shading, model.pale = self.shading, self.pale
         model.mode = self.mode if self.mode in model.modes else "segments"
         here, there = self.table[self.parts.of_point], model.table[parts.of_point]
-        same_place = [int(np.bincount(there[here == segment]).argmax()) for segment in self.selected]
-        model.select(tuple(same_place))
+        model.select(tuple(int(np.bincount(there[here == segment]).argmax()) for segment in self.selected))
         before = self.measures.hues[here]
         # segments of other levels get numbers that no segment of this level has
         model.measures.hues = kept_numbers(there, before, parts.keys + before.max() + parts.count)
@@ -209,19 +208,14 @@ class Model:
         It is the segment of most of the thing's points, if most of its points are theirs, or if it has the thing's
         colour. If the cloud `has_grown`, it is the segment of the same colour.
         """
-        segments, of_point = before.table[before.parts.of_point], self.table[self.parts.of_point]
-        hues, sizes = self.measures.hues, np.bincount(of_point, minlength=len(self.table))
-        named = [
-            (name, int(before.measures.hues[one]), np.flatnonzero(segments == one))
-            for one, name in before.names.items()
-        ]
-        taken = set[int]()
+        here, now = before.table[before.parts.of_point], self.table[self.parts.of_point]
+        old, hues, taken = before.measures.hues.tolist(), self.measures.hues, set[int]()
+        named = [(name, old[one], np.flatnonzero(here == one)) for one, name in before.names.items()]
         for name, hue, points in (*sorted(named, key=lambda one: -len(one[2])), *before.waiting):
-            places = of_point[hues[of_point] == hue] if has_grown else of_point[points]
-            shared = np.bincount(places, minlength=len(sizes))
+            shared = np.bincount(now[hues[now] == hue if has_grown else points], minlength=len(hues))
             found = int(shared.argmax())
-            half = sizes[found] if hues[found] != hue else min(sizes[found], len(places))
-            if found in taken or 2 * shared[found] <= half:
+            whole = min((now == found).sum(), shared.sum() if hues[found] == hue else len(now))
+            if found in taken or 2 * shared[found] <= whole:
                 self.waiting.append((name, hue if has_grown else -1, points))
                 continue
             taken.add(found)

@@ -70,8 +70,7 @@ def _check_xml(path: Path) -> None:
             raise ValueError(f"expected pages of {PAGE} bytes, got {page}")
         stream.seek(at - at % PAGE)
         data = stream.read(PAGE * (size // (PAGE - 4) + 2))
-        pages = (data[first : first + PAGE - 4] for first in range(0, len(data), PAGE))
-        xml = b"".join(pages)[at % PAGE :][:size]
+        xml = b"".join(data[first : first + PAGE - 4] for first in range(0, len(data), PAGE))[at % PAGE :][:size]
         if not xml.startswith((b"<", b"\xef\xbb\xbf<")) or _FOREIGN_XML.search(xml):
             raise ValueError("expected XML in UTF-8 without a document type or schema")
         if _NO_NUMBER.search(xml):

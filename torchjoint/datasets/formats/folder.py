@@ -10,6 +10,7 @@ cloud.ply                      the point cloud, also .pcd, .las, .laz or .e57 (o
 cloud.truth.npy                ground-truth instances of the points, integers [N]; -1 = void (optional)
 """
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,7 +25,6 @@ from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_labels
 
 WHAT = "camera-intrinsics.txt and frame-NNNNNN.color.jpg (or .png) with frame-NNNNNN.pose.txt"
-_COLOR = (".color.jpg", ".color.jpeg", ".color.png")
 
 
 def recognizes(path: Path) -> bool:
@@ -43,7 +43,7 @@ def read_frames(path: Path) -> recording.Frames:
     """Returns the frames of a folder; each frame is read on access."""
     images = recording.sorted_images(path, _files(path))
     no_twice(found := [_stem(one).lower() for one in images], f"{path}: the colour image of frame")
-    recording.tell_lost(str(path), (_stem(one).lower() for one in _files(path, (".pose.txt",))), found)
+    recording.tell_lost(str(path), (_stem(one).lower() for one in _files(path, r"pose\.txt")), found)
     # Reads all poses at once: a bad pose must be found before hours of work, not after. A lost one may be NaN or -inf.
     files = {color: file for color in images if has_file(file := _beside(color, ".pose.txt"))}
     read = {color: read_matrix(file, (4, 4)) for color, file in files.items()}
@@ -75,12 +75,8 @@ def _truth(path: Path, names: Sequence[str], num_points: int) -> Truth | None:
     return Truth(points, images) if images or points is not None else None
 
 
-def _files(path: Path, suffixes: tuple[str, ...] = _COLOR) -> list[Path]:
-    return [
-        file
-        for file in path.iterdir()
-        if file.name.lower().startswith("frame-") and file.name.lower().endswith(suffixes)
-    ]
+def _files(path: Path, kind: str = r"color\.(jpe?g|png)") -> list[Path]:
+    return [file for file in path.iterdir() if re.fullmatch(rf"(?is)frame-.*\.{kind}", file.name)]
 
 
 def _stem(file: Path) -> str:
