@@ -269,7 +269,9 @@ def test_a_saved_segmenter_goes_on_to_the_bit(frames, tmp_path, stop):
         first.result(images=False)
     first.save(tmp_path / "state")
     second = tj.LiveSegmenter(voxel_size=VOXEL, keep_depth=True)
+    second._at_rest = [replace(frames[0], depth=frames[0].depth / 2)]  # of another recording
     second.restore(tmp_path / "state")
+    assert second._at_rest == []
     for segmenter in (first, second):
         segmenter.update(frames[stop:])
     one, other = first.result(), second.result()

@@ -117,7 +117,7 @@ DEPTHS = [
 LABELS = [("folder", "frame-*.truth.png"), ("ycb_video", "*-label.png")]
 
 
-@pytest.mark.parametrize("suffix", [".PNG", ".tiff", "number"])
+@pytest.mark.parametrize("suffix", [".TIF", ".tiff", "number"])
 @pytest.mark.parametrize(("name", "pattern"), DEPTHS + LABELS)
 def test_images_of_another_suffix_or_number(name, pattern, suffix, sample, tmp_path):
     path = sample(name)
@@ -133,8 +133,8 @@ def test_images_of_another_suffix_or_number(name, pattern, suffix, sample, tmp_p
 
 def test_initial_labels_of_another_suffix(sample):
     path = sample("folder")
-    shutil.copy(path / "frame-000000.truth.png", path / "frame-000000.labels.PNG")
-    with pytest.warns(UserWarning, match=r"000000\.labels\.PNG: not read: no frame has an image of labels"):
+    shutil.copy(path / "frame-000000.truth.png", path / "frame-000000.labels.tif")
+    with pytest.warns(UserWarning, match=r"000000\.labels\.tif: not read: no frame has an image of labels"):
         tj.load_scene(path)
     shutil.copy(path / "frame-000000.truth.png", path / "frame-000001.labels.png")
     with pytest.warns(UserWarning, match=r"labels: \d+ of \d+ frames have no \.labels\.png"):
@@ -304,7 +304,11 @@ def test_segments_that_the_mesh_lacks(name, objects, sample, tmp_path):
         tj.load_scene(path)
 
 
-@pytest.mark.parametrize(("name", "kind"), [("s3dis", "Annotations/chair_1.txt"), ("scannet", "*.sens")])
+OF_FOLDER = ("cloud.truth.npy", "*0.truth.png", "*0.color.jpg", "*0.pose.txt", "*0.depth.png", "camera-*.txt")
+OTHERS = [("s3dis", "Annotations/chair_1.txt"), ("scannet", "*.sens"), ("scannet", "*.aggregation.json")]
+
+
+@pytest.mark.parametrize(("name", "kind"), [*OTHERS, *(("folder", kind) for kind in OF_FOLDER)])
 def test_an_upper_case_suffix(name, kind, sample):
     path = sample(name)
     whole, file = traps.content_of(path), next(path.glob(kind))

@@ -278,6 +278,15 @@ def test_other_dimensions_of_a_las(tmp_path):
         assert read_cloud_file(tmp_path / "a.las").colors is None  # all are 0
 
 
+def test_images_of_an_e57(tmp_path):
+    pye57 = pytest.importorskip("pye57")
+    with pye57.E57(str(tmp_path / "a.e57"), mode="w") as file:
+        file.write_scan_raw(dict.fromkeys(("cartesianX", "cartesianY", "cartesianZ"), np.arange(9.0)))
+        file.root["images2D"].append(pye57.libe57.StructureNode(file.image_file))
+    with pytest.warns(UserWarning, match=r"a\.e57: its 1 images are not read, the points are"):
+        read_cloud_file(tmp_path / "a.e57")
+
+
 def test_other_fields_of_an_e57(tmp_path, monkeypatch):
     e57(tmp_path / "a.e57", None, None)
     kind = pytest.importorskip("pye57").E57

@@ -50,7 +50,12 @@ def test_without_a_mesh_a_cloud_is_fused(tmp_path):
     [
         ("replica", "traj.txt", "1 2 3\n", "line 1: expected 16 numbers, a pose, got 3"),
         ("replica", "traj.txt", "", "expected 2 poses, one for each image, got 0"),
-        ("replica", "../cam_params.json", '{"camera": {"scale": 0}}', "scale: expected steps per metre, > 0, got 0"),
+        (
+            "replica",
+            "../cam_params.json",
+            '{"camera": {"scale": 0}}',
+            "scale: expected steps per metre, 1 to 1e6, got 0",
+        ),
         ("replica", "../cam_params.json", "{}", "camera: missing"),
         ("arkitscenes", "40753679_frames/lowres_wide.traj", "1 2 3\n", "line 1: expected 7 numbers, got 3"),
         ("arkitscenes", "40753679_frames/lowres_wide.traj", "", "expected lines of 7 numbers, got none"),

@@ -15,6 +15,7 @@ from torchjoint.datasets.files.ply import read_ply
 from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports.boxes import export_csv
 from torchjoint.results.inputs import write_inputs
+from torchjoint.results.manifest import manifest_checksum
 from torchjoint.results.mask_report import count_masks, masked_segments, names_of_masks, select_masked
 from torchjoint.results.parts import Parts, edited
 from torchjoint.scene import LabelImages
@@ -194,6 +195,17 @@ class TestARun:
         run("edits", "import", copy, file)
         assert "things joined to others: 0" in capsys.readouterr().out
         assert not (copy / "edits.json").exists()
+
+    def test_boxes_of_what_is_masked_after_a_correction(self, out, run, tmp_path, capsys):
+        """One masked thing that had joined another let all others join: their boxes counted as deleted."""
+        copy, file = shutil.copytree(out, tmp_path / "out"), tmp_path / "a.json"
+        stored, masked = tj.load_result(copy), masked_segments(copy)
+        parts, other = Parts(stored), next(one for one in range(stored.num_point_segments) if one not in masked)
+        ends = [int(parts.of_point[stored.points == one][0]) for one in (other, masked[0])]
+        run("export", copy, "--format", "cvat", "-o", file, "--only-masked")
+        write_edits(copy, Edits(parts.count, steps=(Edit("join", tuple(ends)),), of=manifest_checksum(copy)))
+        run("edits", "import", copy, file)
+        assert "things joined to others: 0" in capsys.readouterr().out
 
     def test_what_is_kept_is_as_sure_as_before(self, out):
         loaded = tj.load_result(out, edits=False)

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import pickle
+import shutil
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ from torchjoint.results import folder
 from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.exports import SUFFIXES
 from torchjoint.results.exports.clouds import export_las
-from torchjoint.results.figures import overlay
-from torchjoint.results.folder import write_result
+from torchjoint.results.figures import overlay, overview
+from torchjoint.results.folder import read_granularity, write_result
 from torchjoint.results.objects import oriented_box
 from torchjoint.results.render import label_colors
 from torchjoint.results.upright import fitted, up_direction
@@ -403,10 +404,34 @@ def test_names_at_other_levels():
     assert body.at(0.5).segment_names == {0: "body"}
 
 
+def test_all_of_a_result_that_was_read_is_saved(out, tmp_path, monkeypatch):
+    """That of frames was an error; vectors were lost; the level was told as .5."""
+    monkeypatch.setattr("torchjoint.results.folder.overview", overview)
+    shutil.copytree(out, tmp_path / "out")
+    tj.load_result(tmp_path / "out").embed(lambda crops: crops.mean((2, 3)), size=8).save(tmp_path / "out")
+    read = tj.load_result(tmp_path / "out").at(0.7)
+    read.save(tmp_path / "again")
+    again = tj.load_result(tmp_path / "again")
+    assert torch.equal(again.points, read.points)
+    assert torch.equal(again.embeddings.vectors, read.embeddings.vectors)
+    assert torch.equal(again.at(read_granularity(tmp_path / "again")).points, read.points)
+    plain = tj.Segmentation(read.points, list(read.images))
+    assert tj.Result.of(plain, read.scene).names == read.names
+    gap = tj.Result.of(tj.Segmentation(2 * (read.points > 0), ()), tj.Scene(read.scene.points))
+    dataclasses.replace(gap, segment_names={1: "of no point", 2: "cup"}).save(tmp_path / "gap")
+    assert tj.load_result(tmp_path / "gap").segment_names == {2: "cup"}
+    far = tj.Result.of(tj.Segmentation(1000 * read.points, ()), tj.Scene(read.scene.points))
+    with pytest.raises(ValueError, match=r"points\.npz: not a whole result: labels: expected 0 to"):
+        far.save(tmp_path / "far")
+    assert not (tmp_path / "far").exists()
+    with pytest.raises(ValueError, match="outside of the parts of a result"):
+        read.save(tmp_path / "out" / "images" / "more.png")
+
+
 def test_a_result_of_a_program_is_saved(scene, result, tmp_path):
     """Only the command line could write one."""
     at_level = tj.Result.of(result, scene, tj.Config()).at(0.7)
-    named = dataclasses.replace(at_level, segment_names={0: "floor", 10**6: "of an image"})
+    named = dataclasses.replace(at_level, segment_names={0: "floor", 10**6: "of an image", -1: "of none"})
     named.save(tmp_path / "out")
     stored = tj.load_result(tmp_path / "out")
     assert torch.equal(stored.points, named.points)

@@ -15,9 +15,9 @@ def test_found_again_or_emptied(tmp_path):
     (folder / "half" / ".partial-0123456789abcdef.npz").touch()  # of a killed writer
     work_folder(folder, "source ü")
     assert sorted(path.name for path in folder.rglob("*")) == ["half", SOURCE]
-    work_folder(folder, "other")
+    work_folder(folder, "other \udcff")  # a path that is no text
     assert [path.name for path in folder.iterdir()] == [SOURCE]
-    assert read_sealed(folder / SOURCE) == "other"
+    assert read_sealed(folder / SOURCE) == r"other \udcff"
 
 
 def test_killed_before_the_first_file(tmp_path):

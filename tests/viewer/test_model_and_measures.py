@@ -367,6 +367,32 @@ def test_names_of_an_older_file(tmp_path):
     assert parts.names(replace(edits, granularity=coarse)) == {}
 
 
+@pytest.mark.parametrize(
+    ("then", "names"),
+    [
+        ([0] * 60 + [2] * 10 + [1] * 30, {0: "table", 60: "lamp"}),
+        ([0] * 70 + [1] * 30, {0: "table"}),  # the lamp's is not that of the rest, which nobody has named
+        ([0] * 68 + [1] * 22 + [2] * 10, {0: "table"}),  # nor that of something with two of its points
+        ([0] * 64 + [1] * 6 + [2] * 30, {0: "table", 64: "lamp"}),
+    ],
+)
+def test_names_of_a_run_wait_for_their_things(then, names):
+    """A thing that another took for a while lost its name, or gave it to something else; names of masks came first."""
+    scene, up = Scene(torch.rand(100, 3)), np.array([0.0, 0.0, 1.0])
+    model = Model(Result.of(Segmentation(torch.tensor([0] * 60 + [1] * 10 + [2] * 30), ()), scene), Edits(3), up)
+    for segment, name in enumerate(("table", "lamp")):
+        model.select((segment,))
+        model.name(name)
+    for labels in ([0] * 70 + [1] * 30, then):  # the table takes the lamp
+        before = model
+        shown = Result.of(Segmentation(torch.tensor(labels), ()), scene)
+        model = before.of_result(replace(shown, segment_names={0: "of a mask"}))
+        model.take_names(before, False)
+    first = {int(np.flatnonzero(model.parts.of_point == one)[0]): name for one, name in model.names.items()}
+    assert first == names
+    assert [name for name, *_ in model.waiting] == ([] if "lamp" in names.values() else ["lamp"])
+
+
 def test_what_one_click_did_is_undone_at_once(model):
     segments = largest(model, 3)
     start = model.table.copy()

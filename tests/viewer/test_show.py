@@ -110,6 +110,19 @@ def test_a_folder_of_segments_can_be_shown(out, run, tmp_path):
         run("show", tmp_path / "parts", "--static", tmp_path / "page2.html")
 
 
+def test_no_segment_of_a_folder_is_left_out(out, tmp_path):
+    """One in capitals was; of two with one id, both became one, with the name of the later."""
+    parts = tmp_path / "parts"
+    FORMATS["ply"](parts, replace(tj.load_result(out), segment_names={}))
+    (parts / "000001.ply").rename(parts / "000001-CHAIR.PLY")
+    shown = read_labelled_cloud(parts)
+    assert len(shown.points) == len(tj.load_result(out).points)
+    assert shown.segment_names == {1: "CHAIR"}
+    shutil.copy(parts / "000000.ply", parts / "000001-sofa.ply")
+    with pytest.raises(ValueError, match=f"{parts}: segment 1 is there twice"):
+        read_labelled_cloud(parts)
+
+
 def test_the_ids_of_a_file_are_shown(tmp_path):
     """They were numbered anew: after corrections, or with points without a label, 5 was shown as 2."""
     labels = np.repeat([5, -1, 2], 20)

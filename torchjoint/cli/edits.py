@@ -57,7 +57,9 @@ def edits(
             say(f"points that stay with their superpoint, most of which has another label: {others}")
     else:
         boxes, is_text = read_boxes(file), file.suffix.lower() == ".txt"
-        changes = shared_edits.edits_of_boxes(corrected, boxes, parts.of_point, is_text, masked_segments(result))
+        # Corrections may have changed their segments.
+        masked = corrected.points[np.isin(stored.points, masked_segments(result))].unique().tolist()
+        changes = shared_edits.edits_of_boxes(corrected, boxes, parts.of_point, is_text, masked)
         steps, joined, named, empty, stayed = changes
         if len(empty) > max(1, len(boxes) / 2):
             raise ValueError(f"{told} {len(empty)} of {len(boxes)} boxes are those of no thing")

@@ -5,6 +5,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -117,9 +118,14 @@ def find_cloud(path: Path, options: Options, clouds: Sequence[Path] = ()) -> Pat
 
 
 def without_case(file: Path) -> Path:
-    """Returns the file of a folder that has this name but for the case, if there is one."""
-    names = {name.lower(): name for name in sorted(os.listdir(file.parent))} if has_folder(file.parent) else {}
-    return file.with_name(names.get(file.name.lower(), file.name))
+    """Returns the file of a folder that has this name, or this name but for the case, if there is one."""
+    if os.path.lexists(file) or not has_folder(file.parent):
+        return file
+    return file.with_name(_names(file.parent, file.parent.stat().st_mtime_ns).get(file.name.lower(), file.name))
+
+
+#: Each frame asks for files of the same folders.
+_names = lru_cache(maxsize=16)(lambda folder, _: {name.lower(): name for name in sorted(os.listdir(folder))})
 
 
 class Shot(NamedTuple):

@@ -12,7 +12,7 @@ from torchjoint.datasets.cameras import resize_nearest
 from torchjoint.datasets.files.binary import Members
 from torchjoint.datasets.files.readers import decode_image, labels_of, of_size, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
-from torchjoint.datasets.recording import tell_not_read
+from torchjoint.datasets.recording import tell_not_read, without_case
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
@@ -39,9 +39,9 @@ def point_instances(
         smallest: a vertex of several objects belongs to the one of fewest vertices; else to the last in the file.
         among: the objectIds of the objects that are there; None: all.
     """
-    if not has_file(objects_file):
+    if not has_file(objects_file := without_case(objects_file)):
         return None
-    record = read_record(segments_file, "segments of a mesh")
+    record = read_record(without_case(segments_file), "segments of a mesh")
     segments = record.integers("segIndices")
     if len(segments) != len(points):
         raise ValueError(f"{record.name}: expected the segments of {len(points)} points, got {len(segments)}")
@@ -133,6 +133,5 @@ def instances_in_boxes(points: Tensor, centers: Tensor, sizes: Tensor, axes: Ten
     instances = torch.full((len(points),), -1, dtype=torch.int64)
     large_first = torch.argsort(sizes.prod(dim=1), descending=True, stable=True)
     for box in large_first.tolist():
-        offset = (points.to(torch.float64) - centers[box]) @ axes[box]
-        instances[(offset.abs() <= sizes[box] / 2).all(dim=1)] = box
+        instances[(((points.double() - centers[box]) @ axes[box]).abs() <= sizes[box] / 2).all(dim=1)] = box
     return instances

@@ -399,6 +399,7 @@ class LiveSegmenter(nn.Module):
             self._volume.restore(values["volume"])  # the last check: nothing can fail any more
         self._origin, self._pose, self._views, self._to_compare, self._ids = origin, pose, views, frames, ids
         self._keyframes, self._in_memory, self._file = keyframes, stored._in_memory, stored._file
+        self._at_rest, self._num_at_rest = [], 0  # the frames of before may be of another recording
 
     def _stored(self, keyframe: Keyframe) -> Keyframe:
         """The same, in the file if there is no memory left."""
@@ -441,8 +442,7 @@ class LiveSegmenter(nn.Module):
             self._at_rest = None
         elif self._num_at_rest & (self._num_at_rest - 1) == 0:
             self._at_rest.append(frame)
-            if warn_of_poses(self._at_rest):
-                self._at_rest = None
+            self._at_rest = None if warn_of_poses(self._at_rest) else self._at_rest
 
 
 def _check(frames: Sequence[Frame]) -> None:

@@ -100,13 +100,12 @@ def _without_tex(figure: Any) -> Any:
 
 
 def _draw_frames(figure: Any, scene: Scene, result: Segmentation, chosen: list[int]) -> None:
-    axes = figure.subplots(3, len(chosen), squeeze=False)
+    axes = figure.subplots(3 if len(result.initial_images) else 2, len(chosen), squeeze=False)
     for column, index in enumerate(chosen):
-        pictures = {
-            "input": scene.frames[index].image.permute(1, 2, 0),
-            "initial": label_colors(result.initial_images[index]),
-            "final": label_colors(result.images[index], result.num_point_segments),
-        }
+        pictures = {"input": scene.frames[index].image.permute(1, 2, 0)}
+        if len(result.initial_images):  # a result that was read has none
+            pictures["initial"] = label_colors(result.initial_images[index])
+        pictures["final"] = label_colors(result.images[index], result.num_point_segments)
         for axis, (name, picture) in zip(axes[:, column], pictures.items(), strict=True):
             axis.imshow(to_8_bits(picture).numpy())  # matplotlib resizes bytes faster than floats
             axis.set(xticks=[], yticks=[], ylabel=name if column == 0 else "")

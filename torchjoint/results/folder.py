@@ -99,7 +99,7 @@ def write_result(
     result: Segmentation,
     config: Config,
     source: str,
-    granularity: float = 0.5,
+    granularity: float | None = 0.5,
     *,
     made: Mapping[str, Any] | None = None,
     seconds: Mapping[str, float] | None = None,
@@ -147,10 +147,7 @@ def write_result(
 def _remove_earlier(folder: Path) -> None:
     """Deletes the parts of an interrupted run: with other parameters it may have written other files."""
     for path in (folder / part for part in PARTS if part != EDITS):  # a fused cloud's name is a pattern: it stays
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def read_points(folder: Path) -> PointResult:
@@ -252,7 +249,7 @@ def _write_label_images(folder: Path, result: Segmentation) -> int:
 
 
 def _run_record(
-    scene: Scene, result: Segmentation, config: Config, source: str, granularity: float, last_label: int
+    scene: Scene, result: Segmentation, config: Config, source: str, granularity: float | None, last_label: int
 ) -> dict[str, Any]:
     packages = ("torchjoint", "torch", "kornia", "numpy", "scipy", "open3d", "opencv-contrib-python-headless")
     versions = {"python": platform.python_version()}

@@ -25,7 +25,7 @@ from typing import NamedTuple
 from torchjoint.config import Config
 from torchjoint.results.edits import FILE as EDITS
 from torchjoint.results.edits import Edits, write_edits
-from torchjoint.results.folder import PARTS, write_result
+from torchjoint.results.folder import PARTS, is_part, read_points, write_result
 from torchjoint.results.manifest import listed_files, manifest_checksum
 from torchjoint.results.mask_report import names_of_masks
 from torchjoint.results.parts import Parts
@@ -111,6 +111,8 @@ def output_folder(
         inputs: what the run reads; `out` must not contain it.
     """
     outputs.check_no_input(out, inputs)
+    if is_part(out):
+        raise ValueError(f"-o: expected a path outside of the parts of a result, got {out}")
     out = Path(os.path.abspath(out))
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise FileExistsError(f"{out}: exists and is not a folder; choose another name for the output")
@@ -240,11 +242,15 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
 @on_cpu()
 def save_result(folder: Path, result: Result, overwrite: bool) -> None:
     """See :meth:`torchjoint.Result.save`."""
-    with output_folder(folder, f"a result of process {os.getpid()}", overwrite=overwrite) as partial:
+    parts = Parts(result)
+    same = (one / 100 for one in (50, *range(101)) if (parts.level(one / 100) == parts.level(None)).all())
+    with output_folder(folder, f"a result {os.urandom(8).hex()}", overwrite=overwrite) as partial:  # none is resumed
         assert partial is not None  # only runs with a key can be finished
-        write_result(partial, result.scene, result, result.config or Config(), str(folder))
-        parts, saved = Parts(result), replace(result, segment_names=names_of_masks(partial))
-        names = {one: name for one, name in result.segment_names.items() if one < result.num_point_segments}
-        steps = edits_of_names(saved, names, parts.of_point)
-        if steps:
+        write_result(partial, result.scene, result, result.config or Config(), str(folder), next(same, None))
+        read_points(partial)  # what could not be read again, such as ids above the number of points, is an error now
+        if result.embeddings is not None:
+            result.embeddings.save(partial)
+        there = {*result.points.unique().tolist()}
+        names = {one: name for one, name in result.segment_names.items() if one in there}
+        if steps := edits_of_names(replace(result, segment_names=names_of_masks(partial)), names, parts.of_point):
             write_edits(partial, Edits(parts.count, steps=steps, of=manifest_checksum(partial)))

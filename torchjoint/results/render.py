@@ -73,11 +73,10 @@ def render_cloud(scene: Scene, colors: Tensor, size: tuple[int, int] = (480, 640
     focal = FOCAL * width
     intrinsics = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
     spacing = nearest_neighbors(scene.points, 4).spacing.clamp(min=1e-6)
-    config = VisibilityConfig(footprint=1.0)
     view = fitted(scene, up_direction(scene).numpy(), 2 * math.atan(height / 2 / focal), width / height)
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3] = torch.from_numpy(np.column_stack([view.axes, -view.axes @ view.position]))
-    seen = visible_points(scene.points, spacing, intrinsics, pose, size, config)
+    seen = visible_points(scene.points, spacing, intrinsics, pose, size, VisibilityConfig(footprint=1.0))
     # Draw each point as a square of its own spacing, near points over far points.
     far_first = torch.argsort(seen.z, descending=True, stable=True)
     radius = (0.9 * spacing[seen.point] * focal / seen.z).round().clamp(0, LARGEST).long()[far_first]

@@ -57,13 +57,13 @@ class Result(Segmentation):
         if segmentation.cloud_checksum not in (None, zlib.crc32(scene.points.contiguous().numpy().data)):
             told = "in their order and dtype, got others; replace(segmentation, cloud_checksum=None) if they were moved"
             raise ValueError(f"scene: expected the points that were segmented, {told}")
-        for name, came in zip(segmentation.names, frame_names(scene.frames) if own[1] else (), strict=False):
+        for name, came in zip(segmentation.names, frames := frame_names(scene.frames) if own[1] else [], strict=False):
             if name and came and name != came:
                 raise ValueError(f"scene: expected frame {name!r}, got {came!r}; of another order or scene?")
         if segmentation.hierarchy is not None:
             segmentation, scene = segmentation.labelled(scene)
         values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
-        return cls(**values, scene=scene, config=config)
+        return cls(**values | {"names": segmentation.names or tuple(frames)}, scene=scene, config=config)
 
     def at(self, granularity: float = 0.5) -> Self:
         """As :meth:`torchjoint.Segmentation.at`; a segment has the name, if it is one, that most of its points had.
@@ -165,6 +165,8 @@ class Result(Segmentation):
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
         """Writes a folder as ``torchjoint segment`` does, for the other commands and :func:`torchjoint.load_result`.
+
+        Vectors and names are written, too, but no names of segments without points, and no points without a label.
 
         Args:
             folder: becomes the result, as a whole; an error leaves nothing there.

@@ -146,8 +146,7 @@ def edits_of_boxes(
     if masked and {*masked}.issuperset(segment_of.values()):
         own = {one: box for one, box in own.items() if one in masked}
     place, known = _places(result, superpoint), np.flatnonzero(labels >= 0)
-    shape = len(points), len(place)
-    of_segment = csr_array((np.ones(len(known), np.int64), (known, labels[known])), shape=shape)
+    of_segment = csr_array((np.ones(len(known), np.int64), (known, labels[known])), shape=(len(points), len(place)))
     shares = ((inside @ of_segment) / np.maximum(of_segment.sum(0), 1)).tocsc()  # [B, S]
     steps: list[Edit] = []
     by_size = sorted(segment_of, key=lambda number: (np.prod(boxes[number].size), number))

@@ -119,7 +119,7 @@ def _seal(file: Path) -> bytes:
 
 def write_sealed(file: Path, text: str) -> None:
     """Writes a file that counts only in the folder in which it is."""
-    write_text(file, _seal(file).decode() + text)
+    write_text(file, _seal(file).decode() + text.encode(errors="backslashreplace").decode())  # a path may be no text
 
 
 def read_sealed(file: Path) -> str | None:

@@ -15,7 +15,7 @@ from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
 from torchjoint.results.shared_edits import save_edits
 from torchjoint.results.upright import up_direction
-from torchjoint.runtime.messages import printable
+from torchjoint.runtime.messages import printable, say
 from torchjoint.viewer.cloud import CloudView, pick_point
 from torchjoint.viewer.html import COLUMNS, PREFIX, found_html, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.measures import hues_of_keys
@@ -91,8 +91,7 @@ class Viewer:
             ValueError: edits.json is damaged, or belongs to another result.
         """
         with self._lock:
-            edits = None if shown is None else shown.edits(result)
-            self._show(self.model.of_result(result, edits), shown)
+            self._show(self.model.of_result(result, None if shown is None else shown.edits(result)), shown, False)
 
     def grow(self, result: Result, shading: Shading, shown: Shown | None = None, hues: Table | None = None) -> None:
         """Shows a result with another cloud; what is selected or named stays so, by the colours of the segments.
@@ -113,11 +112,13 @@ class Viewer:
             self._cloud.remove()
             self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(model))
             self._eyes.show_more(result.scene)
-            self._show(model, shown)
+            self._show(model, shown, True)
 
-    def _show(self, model: Model, shown: Shown | None) -> None:
+    def _show(self, model: Model, shown: Shown | None, has_grown: bool) -> None:
         if self._shown.is_running:
-            model.take_names(self.model)
+            model.take_names(self.model, has_grown)
+            if shown is not None and model.waiting:
+                say(f"not kept: names of things that are gone: {', '.join(name for name, *_ in model.waiting)}")
         kept = (self._frame_index(), self._panel.cameras.value) if self._has_frames else ()
         self.model = model
         if shown is not None:
@@ -310,10 +311,7 @@ class Viewer:
         self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
 
     def _on_view(self, action: str, client: Any) -> None:
-        if action == RESET:
-            self._eyes.show_all(client, self.result.scene)
-        else:
-            self._select(())
+        self._eyes.show_all(client, self.result.scene) if action == RESET else self._select(())
 
     def _on_frame(self) -> None:
         self._draw_image()
@@ -341,11 +339,10 @@ class Viewer:
         return self.model.names.get(selected[0], "") if len(selected) == 1 else ""
 
     def _on_correct(self, action: str) -> None:
-        if action == "Undo":
-            if self.model.clicks:
-                self.model.unclick()
-            else:
-                self._say(f"undone: {self.model.undo() or 'nothing is left to undo'}", "blue")
+        if action == "Undo" and self.model.clicks:
+            self.model.unclick()
+        elif action == "Undo":
+            self._say(f"undone: {self.model.undo() or 'nothing is left to undo'}", "blue")
         else:
             self.model.join() if action == "Join" else self.model.split()
 

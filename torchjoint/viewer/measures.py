@@ -74,8 +74,7 @@ class Measures:
         """(frame, pixels) of the frames that see a segment, most pixels first."""
         found = []
         for index, (superpoints, pixels) in enumerate(self._frames or []):
-            of_segment = int(pixels[self._table[superpoints] == segment].sum())
-            if of_segment:
+            if of_segment := int(pixels[self._table[superpoints] == segment].sum()):
                 found.append((index, of_segment))
         return sorted(found, key=lambda one: (-one[1], one[0]))
 

@@ -84,6 +84,7 @@ class Model:
         self.pale = 235.0
         self.table, self.names = self.parts.table(edits), self.parts.names(edits)
         self.clicks: tuple[Click, ...] = ()
+        self.waiting: list[tuple[str, int, Table]] = []  # names of things that are gone, their colours and points
         self._picked: tuple[Edit, ...] = ()  # shown as if it were a correction
         self._before: list[tuple[Edit, ...]] = []  # the corrections before each change, for undo
         self.measures = Measures(self.parts, up)
@@ -104,8 +105,7 @@ class Model:
         model.shading, model.pale = self.shading, self.pale
         model.mode = self.mode if self.mode in model.modes else "segments"
         here, there = self.table[self.parts.of_point], model.table[parts.of_point]
-        same_place = [int(np.bincount(there[here == segment]).argmax()) for segment in self.selected]
-        model.select(tuple(same_place))
+        model.select(tuple(int(np.bincount(there[here == segment]).argmax()) for segment in self.selected))
         before = self.measures.hues[here]
         # segments of other levels get numbers that no segment of this level has
         model.measures.hues = kept_numbers(there, before, parts.keys + before.max() + parts.count)
@@ -202,13 +202,25 @@ class Model:
         else:
             self._add(step)
 
-    def take_names(self, before: Model) -> None:
-        """Gives the names of an earlier model to the segments of the same colour that have none."""
-        named = {int(before.measures.hues[segment]): name for segment, name in before.names.items()}
-        for segment in np.unique(self.table).tolist():
-            name = named.get(int(self.measures.hues[segment]))
-            if name and segment not in self.names:
-                self._add(Edit("name", (self._place_of(segment, self.table),), name, self.edits.granularity))
+    def take_names(self, before: Model, has_grown: bool) -> None:
+        """Gives each name of an earlier model to the segment of the same thing; without one, it waits in `waiting`.
+
+        It is the segment of most of the thing's points, if most of its points are theirs, or if it has the thing's
+        colour. If the cloud `has_grown`, it is the segment of the same colour.
+        """
+        here, now = before.table[before.parts.of_point], self.table[self.parts.of_point]
+        old, hues, taken = before.measures.hues.tolist(), self.measures.hues, set[int]()
+        named = [(name, old[one], np.flatnonzero(here == one)) for one, name in before.names.items()]
+        for name, hue, points in (*sorted(named, key=lambda one: -len(one[2])), *before.waiting):
+            shared = np.bincount(now[hues[now] == hue if has_grown else points], minlength=len(hues))
+            found = int(shared.argmax())
+            whole = min((now == found).sum(), shared.sum() if hues[found] == hue else len(now))
+            if found in taken or 2 * shared[found] <= whole:
+                self.waiting.append((name, hue if has_grown else -1, points))
+                continue
+            taken.add(found)
+            if self.names.get(found) != name:
+                self._add(Edit("name", (self._place_of(found, self.table),), name, self.edits.granularity))
 
     def undo(self) -> str:
         """Undoes the last change, or the last correction of edits.json; says which; "": there is nothing to undo."""

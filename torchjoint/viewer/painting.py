@@ -138,5 +138,4 @@ def lines(
     shown = [one for one in found if ({one.first, one.second} & {*selected} if selected else one.kind != "touches")]
     middle = {segment: points[labels == segment].mean(0) for one in shown for segment in (one.first, one.second)}
     ends = np.array([[middle[one.first], middle[one.second]] for one in shown], dtype=np.float64).reshape(-1, 2, 3)
-    colors = np.array([[COLORS[one.kind]] * 2 for one in shown], dtype=np.uint8).reshape(-1, 2, 3)
-    return ends, colors
+    return ends, np.array([[COLORS[one.kind]] * 2 for one in shown], dtype=np.uint8).reshape(-1, 2, 3)

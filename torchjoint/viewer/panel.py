@@ -50,8 +50,7 @@ class Panel:
             self.several = gui.add_checkbox("Select several", False, hint="each click adds one, as with shift")
             self.by_clicks = gui.add_checkbox("Thing from clicks", False, visible=self.level is not None, hint=CLICKS)
             self.keep = gui.add_button("Make it one thing", visible=False, hint="a segment of its own, at every level")
-            kinds = ("PLY", "PNG", "COCO") if len(model.result.scene.frames) else ("PLY",)
-            self._add_buttons(gui, shown, kinds)
+            self._add_buttons(gui, shown, ("PLY", "PNG", "COCO") if len(model.result.scene.frames) else ("PLY",))
             self.relations = gui.add_checkbox("Relations", False, visible=not shown.is_running, hint=RELATIONS)
         pane = gui.add_panel()  # of its own: it is in view, whatever the panel above shows
         pane.dock_below(gui.main_panel)

@@ -7,7 +7,7 @@ import socket
 import threading
 import weakref
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from ipaddress import ip_address
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -43,10 +43,9 @@ class Viewpoint(NamedTuple):
 
 def viewpoint(frame: Frame) -> Viewpoint:
     """The viewpoint of a frame."""
-    rotation = frame.world_to_camera[:3, :3].T.numpy()
     height, width = frame.size
     fov = 2 * np.arctan2(height / 2, float(frame.intrinsics[1, 1]))
-    wxyz = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    wxyz = Rotation.from_matrix(frame.world_to_camera[:3, :3].T.numpy()).as_quat(scalar_first=True)
     return Viewpoint(camera_center(frame.world_to_camera).numpy(), wxyz, float(fov), width / height)
 
 
@@ -307,8 +306,6 @@ def _is_from_page(headers: Any, own: set[str]) -> bool:
 
 
 def _is_number(host: str) -> bool:
-    try:
-        ip_address(host)
-    except ValueError:
-        return False
-    return True
+    with suppress(ValueError):
+        return bool(ip_address(host))
+    return False

@@ -57,14 +57,13 @@ def write_page(path: Path, result: Result, edits: Edits | None = None) -> int:
     keep = torch.arange(0, len(scene.points), max(1, -(-len(scene.points) // MOST_POINTS)))
     levels, first = _levels(parts, edits or Edits(parts.count))
     points = f"{len(keep)} of {len(scene.points)} points" if len(keep) < len(scene.points) else f"{len(keep)} points"
-    colors = label_colors(torch.arange(int(parts.keys.max()) + 1))
     own = _own_colors(scene, keep)
     data = _drawn(scene.points[keep].double().numpy() @ upright.T, thinned=len(keep) < len(scene.points)) | {
         "views": [(fitted(scene, upward, 0.8, aspect).axes @ upright.T).tolist() for aspect in (1.5, 0.5)],
         "eyeDome": own_file("eye_dome.glsl"),
         "pieces": _packed(parts.of_point[keep.numpy()].astype(np.uint32)),
         "light": _packed(_bytes(Shading(scene.points[keep], upward).light)),
-        "palette": _packed(_bytes(colors.numpy())),
+        "palette": _packed(_bytes(label_colors(torch.arange(int(parts.keys.max()) + 1)).numpy())),
         "own": {name: _packed(rgb) for name, rgb in own.items()},
         "levels": levels,
     }
@@ -90,8 +89,7 @@ def write_page(path: Path, result: Result, edits: Edits | None = None) -> int:
 
 def _levels(parts: Parts, edits: Edits) -> tuple[list[dict[str, Any]], int]:
     """The levels from coarse to fine (ids and hues of superpoints, number and names), and the shown one."""
-    shown = parts.table(edits)
-    found = {shown.tobytes(): (shown, edits)}
+    found = {(shown := parts.table(edits)).tobytes(): (shown, edits)}
     for granularity in LEVELS if parts.result.hierarchy is not None else ():
         with suppress(ValueError):  # a split that this level does not allow
             other = replace(edits, granularity=granularity)
@@ -101,9 +99,9 @@ def _levels(parts: Parts, edits: Edits) -> tuple[list[dict[str, Any]], int]:
     for table, of_level in ordered:
         own = parts.ids(of_level)
         names = {int(own[segment]): name for segment, name in parts.names(of_level).items()}
-        ids = _packed(own.astype(np.uint32))
         hues = _packed(parts.keys[table].astype(np.uint32))  # the same at all levels
-        levels.append({"ids": ids, "hues": hues, "count": len(np.unique(table)), "names": names})
+        ids, count = _packed(own.astype(np.uint32)), len(np.unique(table))
+        levels.append({"ids": ids, "hues": hues, "count": count, "names": names})
     return levels, next(i for i, one in enumerate(ordered) if one[0] is shown)
 
 

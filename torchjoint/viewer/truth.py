@@ -18,6 +18,8 @@ from torchjoint.datasets.files.ply import read_vertex_property
 from torchjoint.results.labelled_file import KEPT, ORIGIN
 from torchjoint.results.result import Result
 from torchjoint.runtime.archives import as_int64, read_archive
+from torchjoint.runtime.foreign_files import no_twice
+from torchjoint.runtime.messages import printable
 from torchjoint.scene import Scene, Segmentation, Truth
 from torchjoint.scene.checks import as_labels, as_tensor
 from torchjoint.transforms import transfer_labels
@@ -76,18 +78,19 @@ def read_labelled_cloud(path: Path) -> Result:
 
 def part_files(folder: Path) -> list[Path]:
     """The .ply of each segment that `label` and `export` write into a folder; none of another folder."""
-    files = sorted(folder.glob("*.ply"))
+    files = sorted(folder.glob("*.[pP][lL][yY]"))
     return files if all(PART.fullmatch(file.stem) for file in files) else []
 
 
 def _of_parts(files: list[Path]) -> Result:
     clouds = [read_cloud_file(file, None, "keep") for file in files]
     ids = torch.tensor([int(file.stem[:6]) for file in files])
+    no_twice(ids.tolist(), f"{files[0].parent}: segment")
     labels = ids.repeat_interleave(torch.tensor([len(cloud.points) for cloud in clouds]))
     colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
     points = torch.cat([cloud.points for cloud in clouds])
     scene = Scene(points, colors=torch.cat(colors) if len(colors) == len(files) else None, name=files[0].parent.name)
-    names = {one: file.stem[7:] for one, file in zip(ids.tolist(), files, strict=True) if file.stem[7:]}
+    names = {one: printable(file.stem[7:]) for one, file in zip(ids.tolist(), files, strict=True) if file.stem[7:]}
     return replace(Result.of(Segmentation(labels, ()), scene), segment_names=names)
 
 

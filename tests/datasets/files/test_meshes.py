@@ -132,8 +132,11 @@ def test_colours_of_an_off(tmp_path, head, before, counts):
         path.write_text(path.read_text().replace("0 0 1 200 30 30 255", "200 30 30 255 0 0 1"))
         np.testing.assert_allclose(read_cloud_file(path).colors, red, atol=1e-6)
     path.write_text(path.read_text().rstrip() + " 255 0 0\n")
-    with pytest.warns(UserWarning, match=r"a\.off: colours of faces are not read"):
+    with pytest.warns(UserWarning, match=r"a\.off: colours of faces, and of some vertices"):
         read_cloud_file(path)
+    path.write_text("OFF\n3 0 0\n0 0 0 255 0 0\n1 0 0\n0 1 0 0 255 0\n")
+    with pytest.warns(UserWarning, match=r"a\.off: colours of faces, and of some vertices"):
+        assert read_cloud_file(path).colors is None
 
 
 @pytest.mark.parametrize("head", [b"4OFF", b"OFF BINARY", b"3 1 0"])

@@ -8,6 +8,7 @@ the nearest points. The library verifies the checksum of each page.
 import math
 import re
 import struct
+import warnings
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -47,6 +48,8 @@ def read_e57(path: Path) -> CloudFile:
             if sum(counts) == 0 or min(counts) < 0:
                 raise ValueError(f"expected scans with points, got {counts} points")
             bounds.check_points(sum(counts), path.stat().st_size)
+            if images := len(file.root["images2D"]) if file.root.isDefined("images2D") else 0:
+                warnings.warn(f"{path}: its {images} images are not read, the points are", stacklevel=4)
             scans = [_scan(file, index, f"{path}: scan {index}") for index in range(file.scan_count)]
     except Exception as error:  # the library raises several types of its own
         raise ValueError(f"{path}: not a whole E57 file: {str(error).strip() or type(error).__name__}") from error
@@ -64,8 +67,7 @@ def _check_xml(path: Path) -> None:
             raise ValueError(f"expected pages of {PAGE} bytes, got {page}")
         stream.seek(at - at % PAGE)
         data = stream.read(PAGE * (size // (PAGE - 4) + 2))
-        pages = (data[first : first + PAGE - 4] for first in range(0, len(data), PAGE))
-        xml = b"".join(pages)[at % PAGE :][:size]
+        xml = b"".join(data[first : first + PAGE - 4] for first in range(0, len(data), PAGE))[at % PAGE :][:size]
         if not xml.startswith((b"<", b"\xef\xbb\xbf<")) or _FOREIGN_XML.search(xml):
             raise ValueError("expected XML in UTF-8 without a document type or schema")
         if _NO_NUMBER.search(xml):

@@ -60,8 +60,7 @@ def read_las(path: Path) -> CloudFile:
     with open_las(path) as reader:
         tell_unit(reader, path)
         kind = reader.header.point_format
-        rgb = {"red", "green", "blue"} & set(kind.dimension_names)
-        names = ["x", "y", "z", *rgb, *kind.extra_dimension_names]
+        names = ["x", "y", "z", *({"red", "green", "blue"} & {*kind.dimension_names}), *kind.extra_dimension_names]
         chunks = [{name: np.asarray(chunk[name]) for name in names} for chunk in las_chunks(reader, path)]
     cloud = cloud_of({name: np.concatenate([chunk[name] for chunk in chunks]) for name in names}, str(path))
     return cloud if cloud.colors is not None and cloud.colors.any() else cloud._replace(colors=None)

@@ -111,8 +111,7 @@ def _joined(parts: Sequence[Any], name: str) -> CloudFile:
         points.append(np.asarray(part.vertices, np.float64).reshape(-1, 3))
         count += len(points[-1])
         if len(points[-1]):
-            is_whole = has_colors and len(of_part) == len(points[-1])
-            own = unit_colors(np.asarray(of_part)[:, :3]) if is_whole else None
+            own = unit_colors(np.asarray(of_part)[:, :3]) if has_colors and len(of_part) == len(points[-1]) else None
             colors.append((str(part.metadata.get("name")), own))
     vertices = torch.from_numpy(np.concatenate([np.empty((0, 3)), *points]))
     triangles = torch.from_numpy(np.concatenate(faces)) if any(map(len, faces)) else None
@@ -187,9 +186,9 @@ def _read_off(data: bytes, name: str) -> CloudFile:
     rows, faces = lines[first : first + count], lines[first + count :]
     if (len(rows), len(faces)) != (count, told):  # edges have no rows
         raise ValueError(f"{name}: expected {told} rows of faces, as its head tells, got {len(faces)}")
-    if any(len(face) > int(face[0]) + 1 for face in faces):
-        warnings.warn(f"{name}: colours of faces are not read; those of vertices (COFF) are", stacklevel=4)
     width = min(map(len, rows), default=0)
+    if any(len(face) > int(face[0]) + 1 for face in faces) or any(len(row) > width + 1 for row in rows):
+        warnings.warn(f"{name}: colours of faces, and of some vertices, are not read; those of all are", stacklevel=4)
     values = np.array([row[:width] for row in rows], np.float64).reshape(len(rows), max(width, 3))
     points, values = torch.from_numpy(values[:, :3]), values[:, 3:]
     is_first = b"NC" in head and width >= 9 and bool(values[:, :3].min() >= 0) and bool(values[:, :3].max() > 1)
@@ -265,8 +264,7 @@ def bound_textures() -> None:
 
     vars(color)["to_rgba"] = to_rgba
 
-    decoder = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", kinds=TEXTURES))
-    vars(obj)["Image"] = decoder
+    vars(obj)["Image"] = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", kinds=TEXTURES))
     # A part with places in a texture, but without a material, has no colour; trimesh would make it grey.
     vars(obj)["TextureVisuals"] = lambda uv, material=None: None if material is None else TextureVisuals(uv, material)
 

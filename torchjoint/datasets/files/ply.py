@@ -202,8 +202,7 @@ def _strips(lists: Lists) -> Array:
     is_end = corners == -1
     place = np.arange(len(corners)) - np.maximum.accumulate(np.where(is_end, np.arange(len(corners)) + 1, 0))
     triangles = np.lib.stride_tricks.sliding_window_view(corners, 3) if len(corners) > 2 else np.empty((0, 3), np.int64)
-    turned = place[: len(triangles)] % 2 == 1
-    triangles = np.where(turned[:, None], triangles[:, [1, 0, 2]], triangles)
+    triangles = np.where(place[: len(triangles), None] % 2 == 1, triangles[:, [1, 0, 2]], triangles)
     a, b, c = triangles.T
     return triangles[(triangles != -1).all(1) & (a != b) & (b != c) & (a != c)]
 

@@ -58,8 +58,8 @@ def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> Shot:
     elif not is_alone:
         raise ValueError(f"{camera.name}: cam_R_w2c: missing; expected the poses of the cameras, or a single image")
     scale = camera.number("depth_scale", 1.0)
-    if scale <= 0:
-        raise ValueError(f"{camera.name}: depth_scale: expected more than 0, got {scale}")
+    if not 1e-3 <= scale <= 1e3:
+        raise ValueError(f"{camera.name}: depth_scale: expected millimetres per step, 0.001 to 1000, got {scale}")
     lens = Camera(camera.numbers("cam_K", 9).view(3, 3), name=f"{camera.name}: cam_K")
     return Shot(image, lens, pose, image.stem, path / "depth" / f"{number:06d}.png", scale / 1000)
 

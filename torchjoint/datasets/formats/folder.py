@@ -10,6 +10,7 @@ cloud.ply                      the point cloud, also .pcd, .las, .laz or .e57 (o
 cloud.truth.npy                ground-truth instances of the points, integers [N]; -1 = void (optional)
 """
 
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,11 +25,10 @@ from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_labels
 
 WHAT = "camera-intrinsics.txt and frame-NNNNNN.color.jpg (or .png) with frame-NNNNNN.pose.txt"
-_COLOR = (".color.jpg", ".color.jpeg", ".color.png")
 
 
 def recognizes(path: Path) -> bool:
-    return has_folder(path) and bool(_color_files(path))
+    return has_folder(path) and bool(_files(path))
 
 
 def load(path: Path, options: recording.Options) -> Scene:
@@ -41,9 +41,9 @@ def load(path: Path, options: recording.Options) -> Scene:
 
 def read_frames(path: Path) -> recording.Frames:
     """Returns the frames of a folder; each frame is read on access."""
-    images = recording.sorted_images(path, _color_files(path))
-    no_twice(found := [*map(_stem, images)], f"{path}: the colour image of frame")
-    recording.tell_lost(str(path), map(_stem, path.glob("frame-*.pose.txt")), found)
+    images = recording.sorted_images(path, _files(path))
+    no_twice(found := [_stem(one).lower() for one in images], f"{path}: the colour image of frame")
+    recording.tell_lost(str(path), (_stem(one).lower() for one in _files(path, r"pose\.txt")), found)
     # Reads all poses at once: a bad pose must be found before hours of work, not after. A lost one may be NaN or -inf.
     files = {color: file for color in images if has_file(file := _beside(color, ".pose.txt"))}
     read = {color: read_matrix(file, (4, 4)) for color, file in files.items()}
@@ -52,7 +52,7 @@ def read_frames(path: Path) -> recording.Frames:
         raise FileNotFoundError(f"{path}: none of {len(found)} colour images has a pose, a file NAME.pose.txt")
     lost = [_stem(color) for color in images if color not in poses]
     recording.tell_left_out(f"{path}: {', '.join(lost[:9])}", len(lost), len(found))
-    file = path / "camera-intrinsics.txt"
+    file = recording.without_case(path / "camera-intrinsics.txt")
     camera = Camera(read_matrix(file, (3, 3)), name=str(file))
     without = [color for color in poses if not has_file(_beside(color, ".labels.png"))]
     if len(without) == len(poses):
@@ -68,15 +68,15 @@ def read_frames(path: Path) -> recording.Frames:
 
 
 def _truth(path: Path, names: Sequence[str], num_points: int) -> Truth | None:
-    colors = [file for file in recording.sorted_images(path, _color_files(path)) if _stem(file) in names]
-    of_points = path / "cloud.truth.npy"
+    colors = [file for file in recording.sorted_images(path, _files(path)) if _stem(file) in names]
+    of_points = recording.without_case(path / "cloud.truth.npy")
     images = label_images([_beside(file, ".truth.png") for file in colors], "truth", colors)
     points = as_labels(read_array(of_points), (num_points,), str(of_points)) if has_file(of_points) else None
     return Truth(points, images) if images or points is not None else None
 
 
-def _color_files(path: Path) -> list[Path]:
-    return [file for file in path.iterdir() if file.name.startswith("frame-") and file.name.endswith(_COLOR)]
+def _files(path: Path, kind: str = r"color\.(jpe?g|png)") -> list[Path]:
+    return [file for file in path.iterdir() if re.fullmatch(rf"(?is)frame-.*\.{kind}", file.name)]
 
 
 def _stem(file: Path) -> str:
@@ -84,4 +84,4 @@ def _stem(file: Path) -> str:
 
 
 def _beside(color_file: Path, suffix: str) -> Path:
-    return color_file.with_name(_stem(color_file) + suffix)
+    return recording.without_case(color_file.with_name(_stem(color_file) + suffix))

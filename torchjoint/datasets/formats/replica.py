@@ -31,8 +31,8 @@ def load(path: Path, options: Options) -> Scene:
     file = next((one for one in (path / CAMERA, path.parent / CAMERA) if has_file(one)), path / CAMERA)
     values = read_record(file, "the camera of Replica").record("camera")
     scale = values.number("scale")
-    if not scale > 0:
-        raise ValueError(f"{values.name}: scale: expected steps per metre, > 0, got {scale:g}")
+    if not 1 <= scale <= 1e6:
+        raise ValueError(f"{values.name}: scale: expected steps per metre, 1 to 1e6, got {scale:g}")
     camera = pinhole((values.number(key) for key in ("fx", "fy", "cx", "cy", "w", "h")), values.name)
     rows = read_rows(path / "traj.txt", "16 numbers, a pose", 16)
     poses = [world_to_camera(torch.tensor(numbers, dtype=torch.float64).view(4, 4), name) for name, numbers in rows]

@@ -251,8 +251,7 @@ def _read_info(path: Path) -> SceneCameras | None:
     fx, fy, cx, cy, height, width = parse_numbers([values.text(name) for name in names], str(path))
     if not (1 <= height <= 2**16 and 1 <= width <= 2**16):
         raise ValueError(f"{path}: expected an image size in pixels, got colorWidth {width:g}, colorHeight {height:g}")
-    matrix = as_intrinsics(pinhole_matrix(fx, fy, cx, cy), f"{path}, colour")
-    both = Calibration(matrix, ((int(height), int(width)),))
+    both = Calibration(as_intrinsics(pinhole_matrix(fx, fy, cx, cy), f"{path}, colour"), ((int(height), int(width)),))
     return SceneCameras(both, both)
 
 
