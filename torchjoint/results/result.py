@@ -57,7 +57,8 @@ class Result(Segmentation):
         if segmentation.cloud_checksum not in (None, zlib.crc32(scene.points.contiguous().numpy().data)):
             told = "in their order and dtype, got others; replace(segmentation, cloud_checksum=None) if they were moved"
             raise ValueError(f"scene: expected the points that were segmented, {told}")
-        for name, came in zip(segmentation.names, frames := frame_names(scene.frames) if own[1] else [], strict=False):
+        frames = frame_names(scene.frames) if own[1] else []
+        for name, came in zip(segmentation.names, frames, strict=False):
             if name and came and name != came:
                 raise ValueError(f"scene: expected frame {name!r}, got {came!r}; of another order or scene?")
         if segmentation.hierarchy is not None:
