@@ -3,7 +3,7 @@ for (const event of ["load", "resize"])
   addEventListener(event, () => {
     for (const table of document.querySelectorAll("table.docutils")) {
       table.classList.remove("rows-as-lists");
-      if (table.scrollWidth <= table.parentElement.clientWidth + 1 || !table.tHead) continue;
+      if (table.parentElement.scrollWidth <= table.parentElement.clientWidth || !table.tHead) continue;
       table.classList.add("rows-as-lists");
       const columns = [...table.tHead.rows[0].cells].map((head) => head.textContent.trim());
       for (const row of table.tBodies[0].rows)

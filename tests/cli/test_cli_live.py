@@ -127,11 +127,11 @@ def test_a_page_shows_each_result(recording, tmp_path, run, monkeypatch, capsys)
     results = [one for one in shown if not isinstance(one, str)]
     assert len(results) > 1
     assert all(fits for _, fits, _ in results)
-    assert results[0][2].startswith(f"after {results[0][0]} frames: ")
+    assert results[0][2].startswith(f"after {results[0][0]} frame")
     assert results[-1][0] == len(names)
     assert results[-1][2].startswith("at the end: ")
     assert served == [tmp_path / "out", "viewer"]
-    assert "after 1 frames: " in capsys.readouterr().out
+    assert "after 1 frame: " in capsys.readouterr().out
 
 
 @pytest.mark.slow

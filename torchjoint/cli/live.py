@@ -23,7 +23,7 @@ from torchjoint.results.checkpoint import model_checksums
 from torchjoint.results.folder import write_result
 from torchjoint.results.objects import add_to_segments
 from torchjoint.results.output_folder import output_folder
-from torchjoint.runtime.messages import say
+from torchjoint.runtime.messages import counted, say
 from torchjoint.runtime.outputs import Output, check_apart
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.frame import PoseWarning
@@ -135,8 +135,8 @@ def _play(results: _Results, rate: float | None, every: int) -> Played:
 
         played = play(results.recording.frames, results.segmenter, rate, tell)
     say(
-        f"{len(played.seconds)} frames, the slowest in {max(played.seconds):.2f} seconds; {played.told_dropped()}; "
-        f"{len(played.keyframes)} keyframes"
+        f"{counted(len(played.seconds), 'frame')}, the slowest in {max(played.seconds):.2f} seconds; "
+        f"{played.told_dropped()}; {counted(len(played.keyframes), 'keyframe')}"
     )
     return played
 
@@ -159,16 +159,18 @@ class _Results(NamedTuple):
     def compute(self, count: int, is_last: bool = False) -> LiveResult:
         """Of the first `count` frames."""
         result = self.segmenter.result(images=is_last)
-        when = "at the end" if is_last else f"after {count} frames"
+        when = "at the end" if is_last else f"after {counted(count, 'frame')}"
         say(f"{when}: {_described(result)}", flush=True)
         if self.log is not None:
             self.log.show(result, count)
         if self.view is not None:
-            self.view.show(result, self.recording.select_frames(range(count)), f"{when}: {len(result.ids)} things")
+            self.view.show(
+                result, self.recording.select_frames(range(count)), f"{when}: {counted(len(result.ids), 'thing')}"
+            )
         return result
 
 
 def _described(result: LiveResult) -> str:
     born, gone, merged, split = map(len, result.changes)
-    what = f"{len(result.ids)} things in {len(result.cloud.points)} points"
-    return f"{what}; {born} are new, {split} were parts of others, {merged} have merged, {gone} are gone"
+    what = f"{counted(len(result.ids), 'thing')} in {len(result.cloud.points)} points"
+    return f"{what}; new: {born}, parts of others before: {split}, merged: {merged}, gone: {gone}"

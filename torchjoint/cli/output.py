@@ -12,7 +12,7 @@ from torchjoint.results.folder import read_record
 from torchjoint.results.mask_report import count_masks, names_of_masks
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import has_file, read_json
-from torchjoint.runtime.messages import on_terminal, say
+from torchjoint.runtime.messages import counted, on_terminal, say
 from torchjoint.scene import Segmentation
 
 
@@ -59,9 +59,8 @@ def at_level(result: Path, loaded: Result, granularity: float | None) -> Result:
 def summarize(result: Segmentation, out: Path) -> None:
     """Prints the numbers of points, segments and images, the seconds of the run, and the written files."""
     _, parts = read_record(out)
-    images, of_segments = len(result.images), f"{len(result.points)} points in {result.num_point_segments} segment"
-    of_images = f", {images} image{'s' * (images != 1)}" if images else ""
-    say(f"{of_segments}{'s' * (result.num_point_segments != 1)}{of_images}")
+    images = f", {counted(len(result.images), 'image')}" if len(result.images) else ""
+    say(f"{len(result.points)} points in {counted(result.num_point_segments, 'segment')}{images}")
     say(f"{sum(parts.values()):.1f} seconds: {_listed(parts)}")
     say(f"segmenting, added up over threads: {_listed(result.seconds)}")
     if (masks := count_masks(out)) is not None:

@@ -31,7 +31,7 @@ from torchjoint.runtime.outputs import Output
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import as_direction
 from torchjoint.scene.hierarchy import check_granularity
-from torchjoint.viewer.truth import part_files, read_labelled_cloud, with_truth
+from torchjoint.viewer.truth import KINDS, part_files, read_labelled_cloud, with_truth
 
 if TYPE_CHECKING:
     from torchjoint.viewer.app import Viewer
@@ -72,6 +72,8 @@ def show(
     """
     if not is_there(out):
         raise FileNotFoundError(f"{out} does not exist; expected a result, or a cloud with labels")
+    if has_file(out) and out.suffix.lower() not in KINDS:
+        raise ValueError(f"{out}: expected a result's folder, or a file that ends in {', '.join(KINDS)}")
     folder = None if has_file(out) or part_files(out) else out
     inputs = (out,) if folder is None else parts_of(folder)  # raises of another folder before the page is opened
     page = None if static is None else output_file(static, overwrite, inputs, "--static")

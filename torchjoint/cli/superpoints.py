@@ -20,7 +20,7 @@ from torchjoint.oversegmentation import superpoints as segment
 from torchjoint.results.figures import cloud_figure
 from torchjoint.results.render import label_colors
 from torchjoint.runtime.foreign_files import damage_is, present
-from torchjoint.runtime.messages import say
+from torchjoint.runtime.messages import counted, say
 from torchjoint.scene import Scene
 from torchjoint.scene.checks import kept_points
 from torchjoint.tiles import superpoints_of_files
@@ -78,8 +78,8 @@ def superpoints(
         out = out or Path(f"{cloud.stem}-superpoints{'' if cloud.is_dir() else '.laz'}")
         in_tiles = partial(superpoints_of_files, engine=engine or "loky", progress=sys.stderr.isatty())
         cut = in_tiles(cloud, out, tile=tile, buffer=buffer, preset=config, overwrite=overwrite)
-        tiles = "1 tile" if cut.num_tiles == 1 else f"{cut.num_tiles} tiles"
-        say(f"{cut.num_points} points in {cut.num_superpoints} superpoints, {tiles}: {out}")
+        found = counted(cut.num_superpoints, "superpoint")
+        say(f"{cut.num_points} points in {found}, {counted(cut.num_tiles, 'tile')}: {out}")
         return
     for name, value in (("--tile", tile), ("--buffer", buffer), ("--engine", engine)):
         if value is not None:
@@ -109,7 +109,7 @@ def superpoints(
             _write(path, scene, labels, of_rows, kept.faces)
         else:
             write_bytes(path, records.with_labels(NAME, {"vertex": of_rows.numpy()}))
-    say(f"{len(labels)} points in {int(labels.max()) + 1} superpoints: {out}")
+    say(f"{len(labels)} points in {counted(int(labels.max()) + 1, 'superpoint')}: {out}")
     if pictured is not None:
         with pictured.written() as path:
             cloud_figure(scene, labels).savefig(path, dpi=100)

@@ -31,6 +31,15 @@ def on_terminal(text: str) -> str:
     return _CONTROLS.sub(lambda match: match[0].encode("unicode_escape").decode(), printable(text))
 
 
+def counted(number: int, thing: str) -> str:
+    """A number of things.
+
+    >>> counted(1, "frame"), counted(2, "frame")
+    ('1 frame', '2 frames')
+    """
+    return f"{number} {thing}{'s' * (number != 1)}"
+
+
 def say(text: object, *, flush: bool = False) -> None:
     """Prints text with names of others."""
     print(on_terminal(str(text)), flush=flush)

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.utils.data import Dataset, Subset
 
 from torchjoint.runtime.groups import best_of_groups
+from torchjoint.runtime.messages import counted
 from torchjoint.scene.checks import as_direction, as_labels
 from torchjoint.scene.cloud import Cloud
 from torchjoint.scene.frame import Frame
@@ -156,7 +157,7 @@ class Scene:
         return Cloud(self.points, self.colors, self.normals)
 
     def __repr__(self) -> str:
-        parts = [f"{len(self.points)} points", f"{len(self.frames)} frames"]
+        parts = [f"{len(self.points)} points", counted(len(self.frames), "frame")]
         parts += [name for name in ("colors", "normals", "truth") if getattr(self, name) is not None]
         return f"Scene({self.name!r}: {', '.join(parts)})"
 

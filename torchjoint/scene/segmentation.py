@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchjoint.runtime.groups import with_none
+from torchjoint.runtime.messages import counted
 from torchjoint.runtime.store import Packed, pack
 from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene.hierarchy import Confidence, Hierarchy
@@ -102,8 +103,8 @@ class Segmentation:
     def __repr__(self) -> str:
         levels = ", all levels" if self.hierarchy is not None else ""
         count = int((torch.bincount(self.points.clamp(min=-1) + 1)[1:] > 0).sum())  # after corrections less than ids
-        told = (f"{n} {thing}{'s' * (n != 1)}" for n, thing in ((count, "segment"), (len(self.images), "image")))
-        return f"{type(self).__name__}({len(self.points)} points in {', '.join(told)}{levels})"
+        told = f"{counted(count, 'segment')}, {counted(len(self.images), 'image')}"
+        return f"{type(self).__name__}({len(self.points)} points in {told}{levels})"
 
     @property
     def num_point_segments(self) -> int:

@@ -15,7 +15,7 @@ from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
 from torchjoint.results.shared_edits import save_edits
 from torchjoint.results.upright import up_direction
-from torchjoint.runtime.messages import printable, say
+from torchjoint.runtime.messages import counted, printable, say
 from torchjoint.viewer.cloud import CloudView, pick_point
 from torchjoint.viewer.html import COLUMNS, PREFIX, found_html, image_html, note_html, panel_html, table_html
 from torchjoint.viewer.measures import hues_of_keys
@@ -308,7 +308,8 @@ class Viewer:
         self._can_save = False
         self.replace(result)
         self._work_behind()
-        self._say(f"{result.num_point_segments} segments; not written to OUT: run `segment` with --set to write this")
+        found = counted(result.num_point_segments, "segment")
+        self._say(f"{found}; not written to OUT: run `segment` with --set to write this")
 
     def _on_view(self, action: str, client: Any) -> None:
         self._eyes.show_all(client, self.result.scene) if action == RESET else self._select(())
@@ -358,7 +359,8 @@ class Viewer:
         if not self._can_save:
             raise ValueError("save: expected the parameters of the result on disk, got others")
         self._save(self.folder)
-        self._say(f"saved with this level: {len(self._saved.steps)} corrections, in {self.folder / 'edits.json'}")
+        corrections = counted(len(self._saved.steps), "correction")
+        self._say(f"saved with this level: {corrections}, in {self.folder / 'edits.json'}")
 
     def _save_what_was_made(self) -> None:
         """Saves each correction as it is made: a closed page or Ctrl-C loses nothing. A level alone is none.

@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 
 from torchjoint.results.render import label_colors
-from torchjoint.runtime.messages import printable
+from torchjoint.runtime.messages import counted, printable
 from torchjoint.viewer.measures import Row
 from torchjoint.viewer.model import Bytes
 from torchjoint.viewer.shared_page import encoded_image, own_file
@@ -48,7 +48,8 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
         told = {"id": f"{chip}{row.key}", "name": escape(row.name), "points": row.points, "size": _size(row)}
         told |= {"frames": row.frames, "sure": _percent(row.sure)}
         lines.append(f'<tr data-key="{row.key}"{lit}>{"".join(f"<td>{told[name]}</td>" for name in columns)}</tr>')
-    note = f"{len(rows)} of {count} segments; search finds the others" if len(rows) < count else f"{count} segments"
+    note = counted(count, "segment")
+    note = f"{len(rows)} of {note}; search finds the others" if len(rows) < count else note
     return (
         f'<div class="tj">{note}; sizes in units of the cloud</div>'
         '<div class="tj-list">'
@@ -86,13 +87,13 @@ def panel_html(rows: Sequence[Row], frames: Sequence[tuple[str, int]]) -> str:
     parts = []
     for row in rows:
         name = f" <b>{escape(row.name)}</b>" if row.name else ""
-        seen = "" if row.frames is None or len(rows) == 1 else f", seen in {row.frames} frames"
+        seen = "" if row.frames is None or len(rows) == 1 else f", seen in {counted(row.frames, 'frame')}"
         sure = "" if row.sure is None else f", one whole thing: {_percent(row.sure)}"
         parts.append(f"<div>segment <b>{row.key}</b>{name}: {row.points} points, {_size(row)}{seen}{sure}</div>")
     if len(rows) == 1 and frames:
         listed = ", ".join(f"{escape(printable(name))} ({pixels} px)" for name, pixels in frames)
         parts.append(
-            f"<details{' open' if len(frames) < 3 else ''}><summary>seen in {len(frames)} frames</summary>"
+            f"<details{' open' if len(frames) < 3 else ''}><summary>seen in {counted(len(frames), 'frame')}</summary>"
             f'<div style="max-height:120px;overflow-y:auto">{listed}</div></details>'
         )
     return f'<div id="tj-panel" class="tj">{"".join(parts)}</div>'

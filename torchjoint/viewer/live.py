@@ -19,6 +19,7 @@ from torchjoint.results.folder import load_result
 from torchjoint.results.render import Shading
 from torchjoint.results.result import Result
 from torchjoint.results.upright import up_direction
+from torchjoint.runtime.messages import counted
 from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.scene.frame import to_8_bits
@@ -102,7 +103,7 @@ class LiveView:
                 self._next = end + (end - start) * (1 / self._share - 1)
         if self.viewer is not None:
             seen, count = len(segmenter.state.observations), len(scene.frames)
-            self.viewer.tell(f"running: {seen} of {count} frames; labels of {self._labelled}")
+            self.viewer.tell(f"running: {seen} of {counted(count, 'frame')}; labels of {self._labelled}")
 
     def finish(self, folder: Path, run: LiveRun) -> Viewer:
         """Shows the result that was written to a folder, with all controls."""

@@ -63,7 +63,7 @@ function paint() {
   const nothing = cloud.gl ? `Click a segment in ${places}.` : "The cloud needs a browser with WebGL 2.";
   told.textContent = selected === null ? nothing : called(selected);
   clear.hidden = selected === null;
-  document.getElementById("count").textContent = `${now().count} segments`;
+  document.getElementById("count").textContent = `${now().count} segment${now().count === 1 ? "" : "s"}`;
   paintCloud();
   pictures.forEach(paintPicture);
 }

@@ -22,7 +22,7 @@ from torchjoint.results.render import Shading, label_colors
 from torchjoint.results.result import Result
 from torchjoint.results.upright import fitted, up_direction
 from torchjoint.runtime.files import write_text
-from torchjoint.runtime.messages import printable
+from torchjoint.runtime.messages import counted, printable
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene
 from torchjoint.scene.scene import evenly_spaced_indices
@@ -69,7 +69,7 @@ def write_page(path: Path, result: Result, edits: Edits | None = None) -> int:
     }
     strip = "".join(_picture(parts, i) for i in evenly_spaced_indices(len(result.images), MOST_IMAGES))
     modes = "".join(f"<option>{name}</option>" for name in ("segments", *own))
-    name, count = escape(printable(f"{scene.name}: " if scene.name else "")), f"{levels[first]['count']} segments"
+    name, count = escape(printable(f"{scene.name}: " if scene.name else "")), counted(levels[first]["count"], "segment")
     text = json.dumps(data).replace("<", "\\u003c")  # no name ends the script
     write_text(
         path,

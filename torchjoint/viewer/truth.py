@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files import text_clouds
 from torchjoint.datasets.files.clouds import read_cloud_file
-from torchjoint.datasets.files.las import las_chunks, open_las
+from torchjoint.datasets.files.las import SUFFIXES, las_chunks, open_las
 from torchjoint.datasets.files.ply import read_vertex_property
 from torchjoint.results.labelled_file import KEPT, ORIGIN
 from torchjoint.results.result import Result
@@ -26,6 +26,8 @@ from torchjoint.transforms import transfer_labels
 
 #: Names of labels in a file. If it has several, the last one, which is the newest, is shown.
 NAMES = "label", "superpoint"
+#: Kinds of files that have labels.
+KINDS = ".ply", ".npz", *SUFFIXES, *text_clouds.SUFFIXES
 #: The name of the file of a segment.
 PART = re.compile(r"\d{6}(-.*)?", re.DOTALL)
 #: Largest distance between a point of a result and that of its scene, metres.
@@ -100,7 +102,7 @@ def _labels(path: Path) -> npt.NDArray[Any] | None:
         return read_archive(path).get("labels")
     if suffix in text_clouds.SUFFIXES:
         return text_clouds.read_column(path, NAMES)
-    if suffix in (".las", ".laz"):
+    if suffix in SUFFIXES:
         with open_las(path) as reader:
             found = [one.name for one in reader.header.point_format.extra_dimensions if _has_labels(one)]
             chunks = [np.asarray(chunk[found[-1]]) for chunk in las_chunks(reader, path)] if found else []
