@@ -20,7 +20,7 @@ from torchjoint.cli.show import _open_page
 from torchjoint.datasets.files.text_clouds import with_column
 from torchjoint.results.embeddings import Embeddings
 from torchjoint.results.exports import FORMATS
-from torchjoint.results.labelled_file import write_labelled
+from torchjoint.results.labelled_file import label_file, write_labelled
 from torchjoint.viewer.shared_page import write_page
 from torchjoint.viewer.truth import read_labelled_cloud, with_truth
 
@@ -108,6 +108,27 @@ def test_a_folder_of_segments_can_be_shown(out, run, tmp_path):
     (tmp_path / "parts" / "mine.ply").write_bytes((tmp_path / "parts" / "000000.ply").read_bytes())
     with pytest.raises(SystemExit, match=r"run\.yaml: missing; expected a folder that `torchjoint segment` wrote"):
         run("show", tmp_path / "parts", "--static", tmp_path / "page2.html")
+
+
+def test_a_mesh_of_segments_can_be_shown(run, tmp_path):
+    trimesh = pytest.importorskip("trimesh", reason="meshes need trimesh: pip install 'torchjoint[mesh]'")
+    box = trimesh.creation.box((1, 1, 1)).subdivide().subdivide()
+    points = torch.from_numpy(np.array(box.vertices)).float()
+    scene = tj.Scene(points)
+    labels = (points[:, 0] > 0.1).long()
+    result = replace(tj.Result.of(tj.Segmentation(labels, ()), scene), segment_names={1: "lid"})
+    box.export(tmp_path / "box.ply")
+    label_file(tmp_path / "box.ply", tmp_path / "a.glb", result)
+    shown = read_labelled_cloud(tmp_path / "a.glb")
+    assert shown.segment_names == {1: "lid"}
+    nearest = torch.cdist(shown.scene.points, points).argmin(1)
+    inside = (shown.scene.points[:, 0] - 0.1).abs() > 0.3  # a vertex between two segments is in both
+    assert inside.sum() > 50
+    assert torch.equal(shown.points[inside], labels[nearest][inside])
+    run("show", tmp_path / "a.glb", "--static", tmp_path / "page.html")
+    box.export(tmp_path / "other.glb")
+    with pytest.raises(ValueError, match=r"other\.glb: expected .* got no labels"):
+        read_labelled_cloud(tmp_path / "other.glb")
 
 
 def test_no_segment_of_a_folder_is_left_out(out, tmp_path):

@@ -56,8 +56,8 @@ def show(
     Needs `pip install 'torchjoint[viewer]'`. Ctrl-C ends it.
 
     Args:
-        out: folder that `torchjoint segment` wrote; or what torchjoint wrote with labels: .ply, .las, .laz, .npz, text
-            with names of columns, a folder with a .ply for each segment.
+        out: folder that `torchjoint segment` wrote; or what torchjoint wrote with labels: .ply, .las, .laz, .npz, .glb,
+            text with names of columns, a folder with a .ply for each segment.
         static: write this HTML file, which can be shared, instead of opening the page.
         granularity: start with another level than RESULT has, 0 (coarse) to 1 (fine); not with method paper.
         up: upward direction x y z in the coordinates of the cloud; default: from the poses and the largest level plane.

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchjoint.datasets.files import text_clouds
 from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import SUFFIXES, las_chunks, open_las
 from torchjoint.datasets.files.ply import read_vertex_property
 from torchjoint.results.labelled_file import KEPT, ORIGIN
@@ -27,9 +28,9 @@ from torchjoint.transforms import transfer_labels
 #: Names of labels in a file. If it has several, the last one, which is the newest, is shown.
 NAMES = "label", "superpoint"
 #: Kinds of files that have labels.
-KINDS = ".ply", ".npz", *SUFFIXES, *text_clouds.SUFFIXES
+KINDS = ".ply", ".npz", ".glb", *SUFFIXES, *text_clouds.SUFFIXES
 #: The name of the file of a segment.
-PART = re.compile(r"\d{6}(-.*)?", re.DOTALL)
+PART = re.compile(r"(\d{6,})(?:-(.*))?", re.DOTALL)
 #: Largest distance between a point of a result and that of its scene, metres.
 NEAR = 1e-3
 
@@ -61,10 +62,12 @@ def with_truth(result: Result, scene: Scene) -> Result:
 def read_labelled_cloud(path: Path) -> Result:
     """Reads a .ply, .las, .laz or text with `label` or `superpoint`, a .npz with points and labels, or parts."""
     if files := part_files(path):
-        return _of_parts(files)
+        return _of_parts(path, [file.stem for file in files], [read_cloud_file(file, None, "keep") for file in files])
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", KEPT)
         cloud, labels = read_cloud_file(path, None, "keep"), _labels(path)
+    if path.suffix.lower() == ".glb" and (result := _of_nodes(path)) is not None:  # which was checked above
+        return result
     if labels is None or len(labels) != len(cloud.points):
         wanted = "a .ply, .las, .laz or text with `label` or `superpoint`, or a .npz with `labels`"
         raise ValueError(f"{path}: expected {wanted}, got no labels")
@@ -84,16 +87,26 @@ def part_files(folder: Path) -> list[Path]:
     return files if all(PART.fullmatch(file.stem) for file in files) else []
 
 
-def _of_parts(files: list[Path]) -> Result:
-    clouds = [read_cloud_file(file, None, "keep") for file in files]
-    ids = torch.tensor([int(file.stem[:6]) for file in files])
-    no_twice(ids.tolist(), f"{files[0].parent}: segment")
+def _of_parts(path: Path, stems: list[str], clouds: list[CloudFile]) -> Result:
+    found = [one for stem in stems if (one := PART.fullmatch(stem))]
+    ids = torch.tensor([int(one[1]) for one in found])
+    no_twice(ids.tolist(), f"{path}: segment")
     labels = ids.repeat_interleave(torch.tensor([len(cloud.points) for cloud in clouds]))
     colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
     points = torch.cat([cloud.points for cloud in clouds])
-    scene = Scene(points, colors=torch.cat(colors) if len(colors) == len(files) else None, name=files[0].parent.name)
-    names = {one: printable(file.stem[7:]) for one, file in zip(ids.tolist(), files, strict=True) if file.stem[7:]}
+    scene = Scene(points, colors=torch.cat(colors) if len(colors) == len(clouds) else None, name=path.stem)
+    names = {int(one[1]): printable(one[2]) for one in found if one[2]}
     return replace(Result.of(Segmentation(labels, ()), scene), segment_names=names)
+
+
+def _of_nodes(path: Path) -> Result | None:
+    """The vertices of a .glb of `label`, by its nodes; None: of others."""
+    import trimesh
+
+    parts = trimesh.load_scene(path, process=False).dump()
+    stems = [str(part.metadata.get("name")) for part in parts]
+    clouds = [CloudFile(torch.from_numpy(np.array(part.vertices))) for part in parts]
+    return _of_parts(path, stems, clouds) if all(map(PART.fullmatch, stems)) else None
 
 
 def _labels(path: Path) -> npt.NDArray[Any] | None:
