@@ -103,7 +103,7 @@ def _of_nodes(path: Path) -> Result | None:
     """The vertices of a .glb of `label`, by its nodes; None: of others."""
     import trimesh
 
-    parts = trimesh.load_scene(path, process=False).dump()
+    parts: Any = trimesh.load_scene(path, process=False).dump()
     stems = [str(part.metadata.get("name")) for part in parts]
     clouds = [CloudFile(torch.from_numpy(np.array(part.vertices))) for part in parts]
     return _of_parts(path, stems, clouds) if all(map(PART.fullmatch, stems)) else None
