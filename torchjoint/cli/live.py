@@ -134,10 +134,8 @@ def _play(results: _Results, rate: float | None, every: int) -> Played:
                 due(count)
 
         played = play(results.recording.frames, results.segmenter, rate, tell)
-    say(
-        f"{counted(len(played.seconds), 'frame')}, the slowest in {max(played.seconds):.2f} seconds; "
-        f"{played.told_dropped()}; {counted(len(played.keyframes), 'keyframe')}"
-    )
+    told = f"{counted(len(played.seconds), 'frame')}, the slowest in {max(played.seconds):.2f} seconds"
+    say(f"{told}; {played.told_dropped()}; {counted(len(played.keyframes), 'keyframe')}")
     return played
 
 
@@ -164,9 +162,8 @@ class _Results(NamedTuple):
         if self.log is not None:
             self.log.show(result, count)
         if self.view is not None:
-            self.view.show(
-                result, self.recording.select_frames(range(count)), f"{when}: {counted(len(result.ids), 'thing')}"
-            )
+            note = f"{when}: {counted(len(result.ids), 'thing')}"
+            self.view.show(result, self.recording.select_frames(range(count)), note)
         return result
 
 

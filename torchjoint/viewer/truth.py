@@ -1,5 +1,6 @@
 """The viewer's layers that are not of a result: a scene's truth, and superpoints of a file."""
 
+import io
 import re
 import warnings
 from dataclasses import replace
@@ -15,11 +16,12 @@ from torchjoint.datasets.files import text_clouds
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import SUFFIXES, las_chunks, open_las
+from torchjoint.datasets.files.meshes import MeshParts, check_gltf
 from torchjoint.datasets.files.ply import read_vertex_property
 from torchjoint.results.labelled_file import KEPT, ORIGIN
 from torchjoint.results.result import Result
 from torchjoint.runtime.archives import as_int64, read_archive
-from torchjoint.runtime.foreign_files import no_twice
+from torchjoint.runtime.foreign_files import no_twice, read_file
 from torchjoint.runtime.messages import printable
 from torchjoint.scene import Scene, Segmentation, Truth
 from torchjoint.scene.checks import as_labels, as_tensor
@@ -66,7 +68,7 @@ def read_labelled_cloud(path: Path) -> Result:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", KEPT)
         cloud, labels = read_cloud_file(path, None, "keep"), _labels(path)
-    if path.suffix.lower() == ".glb" and (result := _of_nodes(path)) is not None:  # which was checked above
+    if path.suffix.lower() == ".glb" and (result := _of_nodes(path)) is not None:
         return result
     if labels is None or len(labels) != len(cloud.points):
         wanted = "a .ply, .las, .laz or text with `label` or `superpoint`, or a .npz with `labels`"
@@ -103,7 +105,9 @@ def _of_nodes(path: Path) -> Result | None:
     """The vertices of a .glb of `label`, by its nodes; None: of others."""
     import trimesh
 
-    parts: Any = trimesh.load_scene(path, process=False).dump()
+    data, others = read_file(path, "a mesh"), MeshParts(path)
+    check_gltf(data, others, str(path))
+    parts: Any = trimesh.load_scene(io.BytesIO(data), "glb", resolver=others, process=False).dump()  # type: ignore[arg-type]  # it only gets
     stems = [str(part.metadata.get("name")) for part in parts]
     clouds = [CloudFile(torch.from_numpy(np.array(part.vertices))) for part in parts]
     return _of_parts(path, stems, clouds) if all(map(PART.fullmatch, stems)) else None
