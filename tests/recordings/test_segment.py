@@ -51,10 +51,24 @@ def whole(scene_of):
 
 def test_a_path_that_is_no_text(tmp_path):
     """Its result could not be read."""
-    (path := tmp_path / "a\udcff").mkdir()
+    (path := tmp_path / "a\udcff.ply").touch()
     with pytest.raises(ValueError, match="expected a recording and masks with paths in UTF-8"):
         segment_recording(path, tmp_path / "out", QUICK, tj.RecordingOptions())
     assert not (tmp_path / "out").exists()
+
+
+def test_a_page_opens_before_files_are_read_if_all_else_is_right(scene_of, tmp_path):
+    (recording := tmp_path / "a.ply").write_bytes(b"ply\nno header")
+    begun, options = [], tj.RecordingOptions()
+    for path, out in ((tmp_path / "full", "out"), (recording, "full")):  # no format; not OUT's
+        (tmp_path / "full").mkdir(exist_ok=True)
+        (tmp_path / "full" / "mine.txt").touch()
+        with pytest.raises((ValueError, OSError), match=r"no known format|exists already"):
+            segment_recording(path, tmp_path / out, QUICK, options, begin=lambda: begun.append(1))
+    assert not begun
+    with pytest.raises(ValueError, match=r"a\.ply"):
+        segment_recording(recording, tmp_path / "out", QUICK, options, begin=lambda: begun.append(1))
+    assert begun == [1]
 
 
 def test_any_order(whole, scene_of, tmp_path):
@@ -94,7 +108,8 @@ def test_a_fused_cloud_is_of_its_format(scene_of, tmp_path, monkeypatch):
         write_cloud(cloud, scene_of(1).scene.points)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("torchjoint.recordings.segment.load_scene", load)
+    for name, mocked in (("load_scene", load), ("find_format", lambda *_: None)):
+        monkeypatch.setattr(f"torchjoint.recordings.segment.{name}", mocked)
     (tmp_path / "recording").mkdir()
     for format in (None, None, "tum"):
         with pytest.raises(KeyboardInterrupt):

@@ -5,7 +5,6 @@ import sys
 import tyro
 
 from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, OptionalOut
-from torchjoint.cli.output import printed_log
 from torchjoint.recordings import BatchReport
 from torchjoint.recordings import batch as run_batch
 from torchjoint.recordings.scene_list import FAILURES, SUMMARY
@@ -39,18 +38,17 @@ def batch(
         threads: threads of one recording; workers on this machine never have more threads than there are cores.
         overwrite: replace earlier results.
     """
-    with printed_log():
-        report = run_batch(
-            scenes,
-            out or "results",
-            engine=engine,
-            threads=threads,
-            config=parameters.config(),
-            options=reading.options(),
-            overwrite=overwrite,
-            progress=sys.stderr.isatty(),
-            allow_import=True,
-        )
+    report = run_batch(
+        scenes,
+        out or "results",
+        engine=engine,
+        threads=threads,
+        config=parameters.config(),
+        options=reading.options(),
+        overwrite=overwrite,
+        progress=sys.stderr.isatty(),
+        allow_import=True,
+    )
     _print(report)
     if report.failures:
         sys.exit(1)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from torchjoint import metrics
 from torchjoint.cli.arguments import DEFAULTS, Flat, Out
-from torchjoint.cli.output import printed_log
 from torchjoint.cli.segment import segmented_and_told
 from torchjoint.cli.show import live_view, show_result
 from torchjoint.recordings import RecordingOptions
@@ -28,8 +27,7 @@ def demo(
     """
     view = live_view() if show else None
     say(f"segmenting {RECORDING}", flush=True)
-    with printed_log():
-        segmented = segmented_and_told(RECORDING, out, parameters, RecordingOptions(), overwrite=overwrite, watch=view)
+    segmented = segmented_and_told(RECORDING, out, parameters, RecordingOptions(), overwrite=overwrite, view=view)
     if segmented is None:
         return
     result, segmenter, scene = segmented

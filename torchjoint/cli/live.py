@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import tyro
 
 from torchjoint.cli.arguments import DEFAULTS, Flat, OptionalOut, output_file, read_topics
-from torchjoint.cli.output import printed_log, summarize
+from torchjoint.cli.output import summarize
 from torchjoint.cli.show import growing_view, serve_until_interrupted
-from torchjoint.datasets import load_scene
+from torchjoint.datasets import find_format, load_scene
 from torchjoint.datasets.fusion import warn_of_poses
 from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
 from torchjoint.recordings.playing import Played, computed_beside, play
@@ -84,14 +84,15 @@ def live(
     segmenter = LiveSegmenter(config, voxel_size=voxel_size, step=step, turn=turn, views=views, memory=memory)
     logged = nullcontext() if log_file is None else _logged(log_file)
     key, inputs = f"live {scene.absolute()}", (scene, *map(Path, model_checksums(config)))
-    with printed_log(), logged as log, output_folder(out, key, overwrite=overwrite, inputs=inputs) as partial:
+    with logged as log, output_folder(out, key, overwrite=overwrite, inputs=inputs) as partial:
         assert partial is not None  # only runs with a key can be finished
+        find_format(scene, None)  # raises before the page opens
+        view = growing_view() if show else None
         before = fingerprints(scene, None, out)
         recording = load_scene(scene, topics=dict(read_topics(topics)), time_limit=time_limit, fuse=False)
         if not len(recording.frames):
             raise ValueError(f"scene: {scene}: expected frames with depth, got a cloud without frames")
         warn_of_poses(recording.frames, str(scene))
-        view = growing_view() if show else None
         results = _Results(segmenter, recording, view, log)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PoseWarning)  # the segmenter would say it again

@@ -2,14 +2,15 @@
 
 import argparse
 import io
+import logging
 import os
 import re
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import is_dataclass
 from difflib import get_close_matches
 from importlib import import_module
@@ -177,6 +178,29 @@ scan, or a YAML file; that of superpoints takes default, scan, segmentator, or a
 INTERRUPTED = "`segment` and `batch` resume when they are started again"
 
 
+class _Formatter(logging.Formatter):
+    """Messages may have names of others."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return on_terminal(super().format(record))
+
+
+@contextmanager
+def _printed_log() -> Iterator[None]:
+    """Inside the block, log messages of the package are printed to stderr as ``torchjoint: ...``."""
+    logger, handler = logging.getLogger("torchjoint"), logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_Formatter("torchjoint: %(message)s"))
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+
+
 def main() -> None:
     """Entry point."""
-    run("torchjoint", COMMANDS, DESCRIPTION, INTERRUPTED)
+    with _printed_log():
+        run("torchjoint", COMMANDS, DESCRIPTION, INTERRUPTED)

@@ -1,10 +1,7 @@
 """What a command says about its run."""
 
-import logging
-import sys
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 
 from torchjoint.results.edits import FILE as EDITS
@@ -12,30 +9,8 @@ from torchjoint.results.folder import read_record
 from torchjoint.results.mask_report import count_masks, names_of_masks
 from torchjoint.results.result import Result
 from torchjoint.runtime.foreign_files import has_file, read_json
-from torchjoint.runtime.messages import counted, on_terminal, say
+from torchjoint.runtime.messages import counted, say
 from torchjoint.scene import Segmentation
-
-
-class _Formatter(logging.Formatter):
-    """Messages may have names of others."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return on_terminal(super().format(record))
-
-
-@contextmanager
-def printed_log() -> Iterator[None]:
-    """Inside the block, log messages of the package are printed to stderr as ``torchjoint: ...``."""
-    logger, handler = logging.getLogger("torchjoint"), logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_Formatter("torchjoint: %(message)s"))
-    level = logger.level
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.setLevel(level)
 
 
 def tell_of_edits(result: Path, told: str) -> None:

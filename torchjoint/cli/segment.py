@@ -1,21 +1,26 @@
 """torchjoint segment: segments a recording and writes the result to a folder."""
 
+from __future__ import annotations
+
 import sys
 from contextlib import nullcontext
 from pathlib import Path
 from shlex import join
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
 from torchjoint.cli.arguments import AS_IT_IS, DEFAULTS, Flat, FlatReading, OptionalOut, Parameters
-from torchjoint.cli.output import printed_log, summarize
+from torchjoint.cli.output import summarize
 from torchjoint.cli.show import live_view, show_result
 from torchjoint.datasets.files import las, text_clouds
 from torchjoint.engine import open_engine
 from torchjoint.recordings import RecordingOptions, segment_recording
 from torchjoint.recordings.segment import Segmented
 from torchjoint.runtime.messages import say
+
+if TYPE_CHECKING:
+    from torchjoint.viewer.live import LiveView
 
 
 def segment(
@@ -54,9 +59,9 @@ def segment(
             `torchjoint show` does.
     """
     out, view = out or Path(f"{scene.resolve().stem}-result"), live_view() if show else None
-    with printed_log(), nullcontext() if engine is None else open_engine(engine, threads) as workers:
+    with nullcontext() if engine is None else open_engine(engine, threads) as workers:
         more = {"masks": masks, "without_masks": without_masks, "overwrite": overwrite, "memory": memory}
-        segmented = segmented_and_told(scene, out, parameters, reading.options(), engine=workers, watch=view, **more)
+        segmented = segmented_and_told(scene, out, parameters, reading.options(), engine=workers, view=view, **more)
     if segmented is not None:
         show_result(out, view, segmented.segmenter, segmented.scene)
         labelled = ".ply", *las.SUFFIXES, *text_clouds.SUFFIXES
@@ -66,11 +71,11 @@ def segment(
 
 
 def segmented_and_told(
-    scene: Path, out: Path, parameters: Parameters, options: RecordingOptions, **more: Any
+    scene: Path, out: Path, parameters: Parameters, options: RecordingOptions, view: LiveView | None, **more: Any
 ) -> Segmented | None:
     """Segments a recording and prints what came out; `more`: of :func:`~torchjoint.recordings.segment_recording`."""
-    config, progress = parameters.config(out), sys.stderr.isatty()
-    segmented = segment_recording(scene, out, config, options, progress=progress, allow_import=True, **more)
+    more |= {"progress": sys.stderr.isatty(), "begin": str if view is None else view.open, "watch": view}
+    segmented = segment_recording(scene, out, parameters.config(out), options, allow_import=True, **more)
     if segmented is None:
         say(f"{out}: an earlier run was killed after it wrote the result; this result is now in its place")
     else:

@@ -106,7 +106,7 @@ def live_view() -> LiveView:
     from torchjoint.viewer.server import import_viser
 
     import_viser()  # so that an error comes at once, not after an hour of fusing a cloud
-    return LiveView(partial(_page, ""))
+    return LiveView(partial(_page, "reading ..."))
 
 
 def growing_view() -> GrowingView:

@@ -67,13 +67,19 @@ def load_scene(
         raise ValueError(f"time_limit: expected more than 0 seconds, got {time_limit}")
     if not 0 <= least_opacity <= 1:
         raise ValueError(f"least_opacity: expected a number in [0, 1], got {least_opacity}")
-    file, roles, invalid = None if cloud is None else Path(cloud), dict(topics or {}), _invalid(drop_invalid)
+    file, roles = None if cloud is None else Path(cloud), dict(topics or {})
+    invalid: Invalid = "drop" if drop_invalid else "refuse"
     options = Options(file, voxel_size, progress, roles, time_limit, invalid, least_opacity, fuse, format, path)
+    return find_format(path, format).load(path, options)
+
+
+def find_format(path: Path, format: str | None) -> Format:
+    """The format of a scene, or the given one; raises as :func:`load_scene` does if it does not fit."""
     if format is not None and format not in FORMATS:
         raise ValueError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
     for module in FORMATS.values() if format is None else [FORMATS[format]]:
         if module.recognizes(path):
-            return module.load(path, options)
+            return module
     if format is not None:
         raise ValueError(f"scene: {path} is not of format {format}, which needs {FORMATS[format].WHAT}")
     some = ", ".join(str(one) for one in list(list_scenes(path).values())[:3])
@@ -98,12 +104,8 @@ def load_cloud(path: str | Path, *, drop_invalid: bool = False) -> Cloud:
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    read = read_cloud_file(Path(path), invalid=_invalid(drop_invalid))
+    read = read_cloud_file(Path(path), invalid="drop" if drop_invalid else "refuse")
     return replace(Cloud.checked(read.points, read.colors, read.normals), faces=read.faces)
-
-
-def _invalid(drop: bool) -> Invalid:
-    return "drop" if drop else "refuse"
 
 
 def list_scenes(path: str | Path) -> dict[str, Path]:
@@ -120,19 +122,17 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
         raise FileNotFoundError(f"scenes: {path} does not exist")
     found = _find_scenes(path)
     if not found:
-        told = f"scene: {path} is of no known format: it {_content(path)}.{_cloud_inside(path)} The most similar one"
-        raise ValueError(f"{told} needs {_nearest(path)}. `torchjoint formats` lists all; own frames: plain folder")
+        told = f"scene: {path} is of no known format: it {_content(path)}.{_cloud_inside(path)}{_nearest(path)}"
+        raise ValueError(f"{told} `torchjoint formats` lists all; own frames: plain folder")
     return found
 
 
 def _find_scenes(path: Path) -> dict[str, Path]:
     if any(module.recognizes(path) for module in FORMATS.values()):
         return {path.stem if has_file(path) else path.name: path}
-    for module in FORMATS.values():
-        found: dict[str, Path] = getattr(module, "scenes", lambda _: {})(path)
-        if found:
-            break
-    else:
+    of_formats = (getattr(module, "scenes", lambda _: {})(path) for module in FORMATS.values())
+    found: dict[str, Path] = next(filter(None, of_formats), {})
+    if not found:
         inside = sorted(path.iterdir()) if has_folder(path) else []
         found = {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
     parents = {one.parent for one in found.values() if one.is_dir()}
@@ -168,11 +168,12 @@ def _cloud_inside(path: Path) -> str:
 
 
 def _nearest(path: Path) -> str:
-    """What the format needs that mentions most of the names in a folder, or most of their suffixes."""
+    """What the format needs that mentions most of the names in a folder, or most of their suffixes, if one does."""
     present = [*path.iterdir(), *path.glob("*/*/")] if has_folder(path) else [path]
-    names, suffixes = {one.name for one in present}, {one.suffix.lower() for one in present} - {""}
+    names, suffixes = {one.name + "/" * one.is_dir() for one in present}, {one.suffix.lower() for one in present} - {""}
 
-    def likeness(module: Format) -> tuple[int, int]:
-        return sum(name in module.WHAT for name in names), sum(suffix in module.WHAT for suffix in suffixes)
+    def likeness(what: str) -> tuple[int, int]:
+        return len(names.intersection(what.replace(",", "").split())), sum(suffix in what for suffix in suffixes)
 
-    return max(FORMATS.values(), key=likeness).WHAT
+    nearest = max((module.WHAT for module in FORMATS.values()), key=likeness)
+    return f" The most similar one needs {nearest}." if any(likeness(nearest)) else ""

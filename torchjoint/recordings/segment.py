@@ -17,7 +17,7 @@ import torch
 
 from torchjoint.cloud.graph import PointGraph
 from torchjoint.config import Config
-from torchjoint.datasets import load_scene
+from torchjoint.datasets import find_format, load_scene
 from torchjoint.datasets.files.readers import fingerprint
 from torchjoint.engine import EngineLike, SharedFile, open_engine
 from torchjoint.engine.engine import SHARED
@@ -97,11 +97,10 @@ class RecordingOptions:
             raise ValueError(f"--thin: expected more than 0 metres, got {self.thin}")
         if self.up is not None:
             as_direction(torch.tensor(self.up, dtype=torch.float64), "--up")
-        if self.granularity is None:
-            return
-        check_granularity(self.granularity, "--granularity")
-        if (method := config.point_segments.method) in ("scan", "paper"):
-            raise ValueError(f"--granularity: expected a method with levels, as in --preset default, got {method}")
+        if self.granularity is not None:
+            check_granularity(self.granularity, "--granularity")
+            if (method := config.point_segments.method) in ("scan", "paper"):
+                raise ValueError(f"--granularity: expected a method with levels, as in --preset default, got {method}")
 
     def source(self) -> str:
         """The options that change a fused cloud, or whether the poses of its frames were checked, as text."""
@@ -204,6 +203,7 @@ def segment_recording(
     memory: int | str | None = None,
     engine: EngineLike | None = None,
     progress: bool = False,
+    begin: Callable[[], object] = str,
     watch: Watch | None = None,
     allow_import: bool = False,
 ) -> Segmented | None:
@@ -221,6 +221,7 @@ def segment_recording(
             `out`.
         engine: workers for the frames: any executor, or a name; None: this process. The labels are the same.
         progress: show progress bars.
+        begin: is called when all but the files' contents is checked, before they are read.
         watch: is called before the first frame and after each batch; it must not change its arguments.
         allow_import: import the code that the config names, see :class:`torchjoint.JointSegmenter`.
 
@@ -237,15 +238,16 @@ def segment_recording(
     for name, needed in (("scene", path), ("--masks", masks)):
         if needed is not None and not needed.exists():
             raise FileNotFoundError(f"{name}: {needed} does not exist")
+    find_format(path, options.format)  # raises at once
     before = fingerprints(path, masks, out)
     source = f"{' '.join(fingerprints(path, masks, out, changed=True))} {options.source()}"
-    if masks is not None:
-        source += f" {without_masks}"
+    source += f" {without_masks}" * (masks is not None)
     key = run_key(f"{source} {options.key()}", config)
     level = options.granularity
     with output_folder(out, source, key=f"{key} {level} {options.up}", overwrite=overwrite) as partial:
         if partial is None:
             return None
+        begin()
         clock = Stopwatch()
         with clock("read"):
             if masks is not None:
@@ -264,8 +266,7 @@ def segment_recording(
             result = run(segmenter, scene, checkpoint, engine=engine, watch=watch, progress=progress)
         level, result = (0.5, result) if level is None else (level, result.at(level))
         made = {"fingerprint": before[0], **options.record(config)}
-        if masks is not None:
-            made["masks"] = [str(masks.absolute()), without_masks]
+        made |= {} if masks is None else {"masks": [str(masks.absolute()), without_masks]}
         logger.info("writing %s", out)
         parts = clock.seconds
         write_result(partial, scene, result, config, str(path), level, made=made, seconds=parts, progress=progress)

@@ -82,15 +82,20 @@ class LiveView:
     It does not change the segmenter, so the result and the checkpoint are the same as without it.
 
     Args:
-        open_page: opens the page, when there is a cloud to show.
+        open_page: opens the page.
         share: largest share of the run's time for the view.
     """
 
     def __init__(self, open_page: Callable[[], Page] = Page, *, share: float = SHARE_OF_TIME) -> None:
         self._open_page, self._share = open_page, share
+        self._page: Page | None = None
         self.viewer: Viewer | None = None
         self._next, self._labelled = 0.0, 0
         self._names: tuple[str, ...] = ()
+
+    def open(self) -> None:
+        """Opens the page before there is something to show."""
+        self._page = self._open_page()
 
     def __call__(self, segmenter: JointSegmenter, scene: Scene) -> None:
         """Shows the labels so far, if it is time."""
@@ -107,12 +112,8 @@ class LiveView:
 
     def finish(self, folder: Path, run: LiveRun) -> Viewer:
         """Shows the result that was written to a folder, with all controls."""
-        result = load_result(folder, edits=False)
-        shown = Shown(folder, run)
-        if self.viewer is None:
-            self.viewer = Viewer(result, shown, page=self._open_page())
-        else:
-            self.viewer.replace(result, shown)
+        assert self.viewer is not None  # each run has a step before the first frame
+        self.viewer.replace(load_result(folder, edits=False), Shown(folder, run))
         return self.viewer
 
     def _show(self, segmenter: JointSegmenter, scene: Scene) -> None:
@@ -121,7 +122,7 @@ class LiveView:
             none = LazySequence(len(scene.frames), lambda index: torch.full(scene.frames[index].size, -1))
             plain = Segmentation(torch.zeros(len(scene.points), dtype=torch.int64), none, names=self._names)
             one = Result.of(plain, scene, segmenter.config)
-            self.viewer = Viewer(one, Shown(is_running=True), page=self._open_page())
+            self.viewer = Viewer(one, Shown(is_running=True), page=self._page or self._open_page())
         self.viewer.replace(Result.of(labels_so_far(segmenter, scene, self._names), scene, segmenter.config))
         self._labelled = len(segmenter.state.observations)
 

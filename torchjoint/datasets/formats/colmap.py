@@ -31,7 +31,7 @@ from torchjoint.runtime.foreign_files import dict_of, has_file, has_folder, no_t
 from torchjoint.scene import Frame, Scene
 from torchjoint.scene.checks import Invalid, kept_points
 
-WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0, in sparse, or in the folder itself"
+WHAT = "COLMAP's cameras and images (.bin or .txt) in sparse/0/, in sparse/, or in the folder itself"
 
 _IMAGES = ("images", "images_2", "images_4", "images_8", ".")
 #: Camera models; the index is the model's number in binary files.
