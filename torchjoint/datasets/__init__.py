@@ -130,8 +130,9 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
 def _find_scenes(path: Path) -> dict[str, Path]:
     if any(module.recognizes(path) for module in FORMATS.values()):
         return {path.stem if has_file(path) else path.name: path}
-    scenes = [getattr(module, "scenes", lambda _: {}) for module in FORMATS.values()]
-    found: dict[str, Path] = next(filter(None, (of(path) for of in scenes)), {})
+    found: dict[str, Path] = {}
+    for module in FORMATS.values():
+        found = found or getattr(module, "scenes", lambda _: {})(path)
     if not found:
         inside = sorted(path.iterdir()) if has_folder(path) else []
         found = {one.name: one for one in inside if or_unreadable(_is_folder_of_scene, one)}
