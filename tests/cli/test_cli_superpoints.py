@@ -100,7 +100,7 @@ def test_columns_by_letters(tmp_path, run, suffix):
     {".npy": lambda: np.save(cloud, rows), ".txt": lambda: np.savetxt(cloud, rows), ".bin": lambda: rows.tofile(cloud)}[
         suffix
     ]()
-    read = read_cloud_file(cloud, "lxyzrgb")
+    read = tj.datasets.load_cloud(cloud, columns="lxyzrgb")
     torch.testing.assert_close(read.points.float(), POINTS)
     torch.testing.assert_close(read.colors, COLORS)
     assert read_cloud_file(cloud, "nnnxyzl").normals.tolist() == rows[:, :3].tolist()

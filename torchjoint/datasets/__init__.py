@@ -87,7 +87,7 @@ def find_format(path: Path, format: str | None) -> Format:
 
 
 @on_cpu()
-def load_cloud(path: str | Path, *, drop_invalid: bool = False) -> Cloud:
+def load_cloud(path: str | Path, *, columns: int | str | None = None, drop_invalid: bool = False) -> Cloud:
     """Loads the points of a single file as they are, with its colours, normals and triangles, if it has any.
 
     Beams without return, many points at (0, 0, 0), are left out, with a warning, but for those of a mesh.
@@ -98,13 +98,15 @@ def load_cloud(path: str | Path, *, drop_invalid: bool = False) -> Cloud:
 
     Args:
         path: a cloud or a mesh alone; docs/your_data.md lists the types of files.
+        columns: numbers per point in a .bin file; None: 4, or 5 for .pcd.bin. Or a letter for each column of a .bin,
+            .npy, .xyz or .txt file: x y z, r g b, nnn (a normal), any other to leave it out: "xyzrgbl".
         drop_invalid: leave out the points that are NaN or infinite, and their triangles, with a warning; else they are
             an error.
 
     Raises:
         FileNotFoundError, ValueError: the message names the file and its error.
     """
-    read = read_cloud_file(Path(path), invalid="drop" if drop_invalid else "refuse")
+    read = read_cloud_file(Path(path), columns, "drop" if drop_invalid else "refuse")
     return replace(Cloud.checked(read.points, read.colors, read.normals), faces=read.faces)
 
 

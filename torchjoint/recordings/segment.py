@@ -57,7 +57,8 @@ class RecordingOptions:
 
     Attributes:
         voxel_size: metres, for fusing a cloud from depth if the recording has no cloud.
-        max_frames: number of frames to use, evenly spread over the recording, or over its frames with masks; None: all.
+        max_frames: number of frames to use, evenly spread over the recording, or over its frames with masks; 0: the
+            cloud alone; None: all.
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         thin: keep one point per voxel of this size, metres, of clouds that are denser than their noise, or too large;
             None: all points.
