@@ -596,7 +596,7 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
         ({"name": "shed" * 40_000}, "field larger than field limit"),
     ):
         write([rows[0] | {"name": "hut"} | wrong])
-        with pytest.raises(SystemExit, match=rf"names\.csv: (line 2: 'hut': )?.*{told}"):
+        with pytest.raises(SystemExit, match=rf"names\.csv: (row 2: 'hut': )?.*{told}"):
             run("edits", "import", out, table)
     table.write_bytes("id,name,points\n0,Gebäude,1\n".encode("cp1252"))
     with pytest.raises(SystemExit, match=r"names\.csv: expected a table of segments \(save it as CSV UTF-8\) as text"):
@@ -606,6 +606,19 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
         SystemExit, match=r"names\.csv: missing; expected a table of segments \(save it as CSV UTF-8\)$"
     ):
         run("edits", "import", out, table)
-    table.write_text("id,name\n")
-    with pytest.raises(SystemExit, match="expected the columns id, name and points"):
+    table.write_text("id,name\n1,a\n")
+    with pytest.raises(SystemExit, match="expected id, name and points of `export`, got id, name"):
         run("edits", "import", out, table)
+    outlines = tmp_path / "outlines.geojson"
+    with pytest.warns(UserWarning, match="no EPSG code of the cloud is known"):
+        run("export", out, "--format", "geojson", "-o", outlines)
+    features = json.loads(outlines.read_text())
+    for feature, name in zip(features["features"], ("barn", None), strict=False):  # QGIS writes null for no name
+        feature["properties"]["name"] = name
+    outlines.write_text(json.dumps(features))
+    run("edits", "import", out, outlines)
+    assert tj.load_result(out).segment_names == {0: "barn", 2: "shed"}
+    features["features"][2]["properties"] |= {"name": "hut", "points": 3}
+    outlines.write_text(json.dumps(features))
+    with pytest.raises(SystemExit, match=r"outlines\.geojson: row 3: 'hut': segment 2: .*the table says 3"):
+        run("edits", "import", out, outlines)

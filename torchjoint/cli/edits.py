@@ -32,8 +32,8 @@ def edits(
         action: import.
         result: folder that `torchjoint segment` wrote, from which the file was exported, at its own level.
         file: .json of labelCloud (centroid_abs); .json of Segments.ai, a label of points or cuboids; .json of CVAT
-            (annotations/default.json of format Datumaro 3D); .txt of OpenPCDet's custom data sets; or .csv of `export`,
-            with names that you have filled in (an empty one changes nothing; the viewer removes names).
+            (annotations/default.json of format Datumaro 3D); .txt of OpenPCDet's custom data sets; or .csv or .geojson
+            of `export`, with names that you have filled in (an empty one changes nothing; the viewer removes names).
     """
     check_no_input(file, parts_of(result), "FILE")
     stored = load_result(result, edits=False)

@@ -80,9 +80,7 @@ class GradientBoundary(nn.Module):
         """
         if images.ndim != 4 or images.shape[1] != 3:
             raise ValueError(f"images: expected shape [B, 3, H, W], got {list(images.shape)}")
-        if images.shape[0] == 0:
-            return images[:, 0]
-        return torch.stack(parallel_map(self._single, images))
+        return torch.stack(parallel_map(self._single, images)) if len(images) else images[:, 0]
 
     def _single(self, image: Tensor) -> Tensor:
         lab = smooth(to_lab(image[None].contiguous()), self.smoothing)

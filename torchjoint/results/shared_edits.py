@@ -4,11 +4,11 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -161,7 +161,7 @@ def edits_of_boxes(
 
 
 def read_names(file: Path, result: Result) -> dict[int, str] | None:
-    """Reads new names of segments in a table of `export --format csv`; None: the file has another suffix.
+    """Reads new names of segments in a table of `export`, format csv or geojson; None: the file has another suffix.
 
     An empty name changes nothing: the table may be older. Programs may have written ; for , and may have left out rows,
     or columns other than id, name and points.
@@ -169,24 +169,27 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
     Raises:
         ValueError: it has no such columns, or a name is that of no segment of the result, or of one with other points.
     """
-    if file.suffix.lower() != ".csv":
+    rows: Iterable[Mapping[str, Any]]
+    if (suffix := file.suffix.lower()) not in (".csv", ".geojson"):
         return None
-    text = read_text(file, "a table of segments (save it as CSV UTF-8)", bounds.JSON_BYTES)
-    header = text.partition("\n")[0]
-    table = csv.DictReader(io.StringIO(text), delimiter=";" if header.count(";") > header.count(",") else ",")
-    if not {"id", "name", "points"} <= set(table.fieldnames or ()):
-        raise ValueError(f"{file}: expected the columns id, name and points of `export --format csv`, got {header!r}")
-    found = np.unique(result.points[result.points >= 0].numpy(), return_counts=True)
-    sizes = dict(zip(*(each.tolist() for each in found), strict=True))
+    if suffix == ".geojson":
+        features = read_record(file, "footprints of segments").records("features")
+        rows = [feature.record("properties").values for feature in features]
+    else:
+        text = read_text(file, "a table of segments (save it as CSV UTF-8)", bounds.JSON_BYTES)
+        rows = csv.DictReader(io.StringIO(text), delimiter=max(",;", key=text.partition("\n")[0].count))
+    sizes = dict(enumerate(np.bincount(result.points[result.points >= 0].numpy()).tolist()))
     names, emptied = [], 0
     with damage_is(str(file), csv.Error):
-        for row in table:
-            segment, points = (_count(row[column] or "") for column in ("id", "points"))
-            name = printable((row["name"] or "").strip()).removeprefix("'")  # csv_text's, before what would be computed
+        for number, row in enumerate(rows, 1 + (suffix == ".csv")):  # as QGIS and spreadsheets count
+            if not {"id", "name", "points"} <= row.keys():
+                raise ValueError(f"expected id, name and points of `export`, got {', '.join(map(str, row))[:100]}")
+            segment, points = (_count(str(row[column])) for column in ("id", "points"))
+            name = printable(str(row["name"] or "").strip()).removeprefix("'")  # csv_text's, before what is computed
             if name in ("", no_formula(result.segment_names.get(segment, "")).strip().removeprefix("'")):
                 emptied += not name and segment in result.segment_names
                 continue
-            told = f"line {table.line_num}: {name!r}: segment {(row['id'] or '')[:20]}"
+            told = f"row {number}: {name!r}: segment {str(row['id'])[:20]}"
             if segment not in sizes:
                 raise ValueError(f"{told}: expected the id of a segment; is it a table of another result?")
             if sizes[segment] != points:
