@@ -174,7 +174,8 @@ class Result(Segmentation):
             overwrite: replace an earlier result.
 
         Raises:
-            FileExistsError, OSError: the folder is there, or cannot be written.
+            FileExistsError, OSError: the folder is there, or has corrections by hand, or cannot be written.
+            TypeError: a name is no text, or its id no integer.
         """
         from torchjoint.results.output_folder import save_result
 
