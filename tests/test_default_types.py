@@ -1,6 +1,9 @@
 """What the caller has set as torch's default dtype, device and autocast does not matter."""
 
 import dataclasses
+import functools
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -83,9 +86,30 @@ CALLS = {
     "masks of COCO": lambda: tj.masks.from_coco([IN_MASKS], (2, 3)).stack(),
     "a cloud alone": lambda: tj.JointSegmenter()(tj.Scene(CLOUD)).points.tolist(),
     "labels of the nearest": lambda: tj.transforms.transfer_labels(LABELS[:9], POINTS, POINTS + 0.1),
+    "confidence": lambda: [fresh().confidence, fresh().point_confidence],
+    "records": lambda: fresh().records(),
+    "relations": lambda: fresh().graph().relations,
+    "a picked point": lambda: fresh().pick(CLOUD[:2], negative=CLOUD[2:3]).superpoints,
 }
 CLOUD = torch.rand(600, 3, generator=torch.Generator().manual_seed(0))
 POINTS = torch.arange(27.0).view(9, 3)
+
+
+@functools.cache
+def found():
+    scene = tj.Scene(CLOUD)
+    return tj.Result.of(tj.JointSegmenter()(scene), scene)
+
+
+def fresh():
+    """Made before the defaults were changed, with nothing computed yet."""
+    return dataclasses.replace(found())
+
+
+def test_a_default_device_before_the_first_use():
+    code = "import torch; torch.set_default_device('meta'); from torchjoint.datasets import cameras, volume"
+    code += "; print(cameras.FLIP_YZ.device, volume._STEPS.device)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "cpu cpu\n"
 
 
 @pytest.fixture(scope="module")

@@ -423,7 +423,12 @@ def test_all_of_a_result_that_was_read_is_saved(out, tmp_path, monkeypatch):
     far = tj.Result.of(tj.Segmentation(1000 * read.points, ()), tj.Scene(read.scene.points))
     with pytest.raises(ValueError, match=r"points\.npz: not a whole result: labels: expected 0 to"):
         far.save(tmp_path / "far")
-    assert not (tmp_path / "far").exists()
+    other = dataclasses.replace(read, points=torch.cat([read.points[:-1], read.points[:1]]))
+    with pytest.raises(ValueError, match="expected superpoints inside one segment"):
+        other.save(tmp_path / "far")
+    with pytest.raises(TypeError, match="segment_names: expected texts by ids, got '2': 'cup'"):
+        dataclasses.replace(gap, segment_names={"2": "cup"}).save(tmp_path / "far")
+    assert not [*tmp_path.glob("*far*")]
     with pytest.raises(ValueError, match="outside of the parts of a result"):
         read.save(tmp_path / "out" / "images" / "more.png")
 
@@ -431,18 +436,18 @@ def test_all_of_a_result_that_was_read_is_saved(out, tmp_path, monkeypatch):
 def test_a_result_of_a_program_is_saved(scene, result, tmp_path):
     """Only the command line could write one."""
     at_level = tj.Result.of(result, scene, tj.Config()).at(0.7)
-    named = dataclasses.replace(at_level, segment_names={0: "floor", 10**6: "of an image", -1: "of none"})
+    named = dataclasses.replace(at_level, segment_names={0: "thing", 10**6: "of an image", -1: "of none"})
     named.save(tmp_path / "out")
     stored = tj.load_result(tmp_path / "out")
     assert torch.equal(stored.points, named.points)
     assert all(map(torch.equal, stored.images, named.images))
     assert torch.equal(stored.hierarchy.heights, named.hierarchy.heights)
-    assert (stored.segment_names, stored.config) == ({0: "floor"}, tj.Config())
+    assert (stored.segment_names, stored.config) == ({0: "thing"}, tj.Config())
     assert len(stored.scene.frames) == len(scene.frames)
-    assert [one.name for one in stored.records()[:2]] == ["floor", ""]
+    assert [one.name for one in stored.records()[:2]] == ["thing", ""]
     with pytest.raises(FileExistsError, match="exists already"):
         named.save(tmp_path / "out")
-    (tmp_path / "out" / "edits.json").unlink()  # corrections are not replaced
+    named.save(tmp_path / "out", overwrite=True)  # its names are no corrections by hand
     tj.Result.of(tj.Segmentation(torch.zeros(len(scene.points), dtype=torch.int64), ()), scene).save(
         tmp_path / "out", overwrite=True
     )

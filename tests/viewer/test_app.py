@@ -10,6 +10,7 @@ import weakref
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,7 +26,7 @@ from msgspec import msgpack  # noqa: E402 (packages that viser needs)
 from websockets.sync.client import connect  # noqa: E402
 
 from torchjoint.viewer import app, live  # noqa: E402
-from torchjoint.viewer.server import Page, _end  # noqa: E402
+from torchjoint.viewer.server import Page, Turns, _end  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 
@@ -104,6 +105,17 @@ def typed(viewer, text):
     viewer._on_typed(SimpleNamespace(client=object()))
 
 
+def test_names_of_a_run_are_saved_with_its_result(out, tmp_path):
+    folder = shutil.copytree(out, tmp_path / "out")
+    result = tj.load_result(folder, edits=False)
+    viewer = app.Viewer(result, Shown(is_running=True), page=Page(port=8990))
+    viewer.model.select((int(viewer.model.table[0]),))
+    typed(viewer, "sofa")
+    viewer.replace(result, Shown(folder))  # of the same superpoints, as of method paper
+    viewer.stop()
+    assert [step.name for step in read_edits(folder, viewer.model.parts.count).steps] == ["sofa"]
+
+
 def test_what_is_typed_while_a_name_is_saved_stays(out, tmp_path, monkeypatch):
     viewer = opened(shutil.copytree(out, tmp_path / "out"), 8990)
     viewer.model.select((int(viewer.model.table[0]),))
@@ -128,6 +140,36 @@ def test_what_is_typed_while_another_action_works_stays(out, tmp_path):
         assert viewer._panel.name.value == ""
     assert (viewer._panel.name.value, *viewer.model.names.values()) == ("lock", "lock")
     viewer.stop()
+
+
+def test_names_go_to_what_was_clicked_before_them(out, tmp_path):
+    """Both got the later one, if both waited for another action, such as an export of many frames."""
+    viewer = opened(shutil.copytree(out, tmp_path / "out"), 8990)
+    names = dict(zip(np.unique(viewer.model.table).tolist(), ("sofa", "lamp"), strict=False))
+    with ThreadPoolExecutor() as pool, viewer._lock:
+        for segment, name in names.items():
+            event = f"torchjoint:row {viewer.model.key(segment)} 0 {name}"
+            for action in (partial(setattr, viewer._panel.bridge, "value", event), partial(typed, viewer, name)):
+                pool.submit(action)
+                time.sleep(0.1)
+    viewer.stop()
+    assert viewer.model.names == names
+
+
+def test_a_lock_is_given_in_the_order_of_those_who_ask():
+    turns, came = Turns(), []
+
+    def work():
+        with turns, turns:
+            came.append("first")
+
+    with ThreadPoolExecutor() as pool:
+        with turns:
+            pool.submit(work)
+            time.sleep(0.1)
+        with turns:
+            came.append("second")
+    assert came == ["first", "second"]
 
 
 def test_a_page_that_ends_has_no_thread_at_work(out):

@@ -20,7 +20,7 @@ from torchjoint.scene.frame import camera_center
 Matrix = npt.NDArray[np.float64]
 
 #: From OpenGL's camera axes (x right, y up, z back) to OpenCV's; this matrix is its own inverse.
-FLIP_YZ = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+FLIP_YZ = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64, device="cpu"))
 
 #: Largest difference between a quaternion's length and 1: files give at least two digits.
 UNIT_TOLERANCE = 0.02

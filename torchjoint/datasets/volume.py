@@ -22,7 +22,7 @@ AT_ONCE = 2048
 SURFACE = 0.98
 #: Bits of a block's coordinate in its key.
 _BITS = 21
-_STEPS = torch.tensor([1 << 2 * _BITS, 1 << _BITS, 1])
+_STEPS = torch.tensor([1 << 2 * _BITS, 1 << _BITS, 1], device="cpu")
 
 
 class Volume:

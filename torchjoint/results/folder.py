@@ -37,6 +37,7 @@ from torchjoint.results.upright import up_direction
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import frame_files
 from torchjoint.runtime.foreign_files import damage_is, has_file, no_twice, present
+from torchjoint.runtime.messages import printable
 from torchjoint.runtime.store import pack
 from torchjoint.runtime.threads import LazySequence, on_cpu, parallel_map
 from torchjoint.scene import Cloud, LabelImages, Scene, Segmentation
@@ -131,7 +132,7 @@ def write_result(
     scene = replace(scene, up=up_direction(scene))
     if len(scene.frames):
         scene = replace(scene, frames=read_inputs(folder, result.names))  # faster to read than the recording
-    write_segments(folder, scene, result, names_of_masks(folder))
+    write_segments(folder, scene, result, names_of_masks(folder) | dict((made or {}).get("names", {})))
     bar.update()
     picture = overview(scene, result, names=frames_with_masks(folder))
     picture.savefig(folder / "overview.png", dpi=100, pil_kwargs=manifest.PNG)
@@ -312,7 +313,8 @@ def load_result(folder: str | Path, *, edits: bool = True, verify: bool = True) 
     up = None if up is None else torch.tensor(up, dtype=torch.float64)
     scene = Scene(stored.points, frames, stored.colors, name=folder.resolve().name, up=up)
     values = {one.name: getattr(segmentation, one.name) for one in fields(Segmentation)}
-    names, vectors = names_of_masks(folder), read_embeddings(folder, len(stored.points))
+    given = read_run(folder, lambda run: {int(one): printable(name) for one, name in run.get("names", {}).items()})
+    names, vectors = names_of_masks(folder) | given, read_embeddings(folder, len(stored.points))
     result = Result(**values, scene=scene, config=config, saved_embeddings=vectors, segment_names=names, manifest=of)
     if edits and has_file(folder / EDITS):
         result = edited(result, read_edits(folder, Parts(result).count))

@@ -170,12 +170,9 @@ def write_hierarchy(folder: Path, hierarchy: Hierarchy, names: Sequence[str], su
     arrays = {"piece": hierarchy.superpoint, "merges": hierarchy.merges}
     if hierarchy.votes is not None:
         arrays |= dict(zip(_VOTES, hierarchy.votes, strict=True))
-    np.savez_compressed(
-        folder / HIERARCHY,
-        heights=hierarchy.heights.numpy(),
-        default=np.float64(hierarchy.default),
-        **{name: array.numpy().astype(np.int32) for name, array in arrays.items()},  # type: ignore[arg-type]
-    )
+    floats = {"heights": hierarchy.heights.numpy(), "default": np.float64(hierarchy.default)}
+    whole = {name: array.numpy().astype(np.int32) for name, array in arrays.items()}
+    np.savez_compressed(folder / HIERARCHY, **floats, **whole)  # type: ignore[arg-type]
     if not len(superpoints):
         return
     (folder / SUPERPOINTS).mkdir()

@@ -83,14 +83,9 @@ def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskMatche
         both = torch.zeros(num_labels + 1, dtype=torch.int64).index_add_(0, label[here], number[here])
         iou = both / (area + pixels - both).clamp(min=1)
         best = int(iou.argmax())
-        record = {
-            "id": masks.ids[mask] if masks.ids else mask,
-            "name": masks.names[mask] if masks.names else "",
-            "score": round(float(masks.scores[mask]), 4),
-            "segment": best - 1,
-            "iou": round(float(iou[best]), 4),
-            "pixels": area,
-        }
+        known, name = masks.ids[mask] if masks.ids else mask, masks.names[mask] if masks.names else ""
+        score, shared = round(float(masks.scores[mask]), 4), round(float(iou[best]), 4)
+        record = {"id": known, "name": name, "score": score, "segment": best - 1, "iou": shared, "pixels": area}
         records.append(record)
     return MaskMatches(records, pixels[1 : num_segments + 1], covered[1 : num_segments + 1])
 

@@ -17,23 +17,21 @@ import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
 from torchjoint.config import Config
 from torchjoint.results.edits import FILE as EDITS
-from torchjoint.results.edits import Edits, write_edits
-from torchjoint.results.folder import PARTS, is_part, read_points, write_result
-from torchjoint.results.manifest import listed_files, manifest_checksum
-from torchjoint.results.mask_report import names_of_masks
+from torchjoint.results.folder import PARTS, is_part, read_result, write_result
+from torchjoint.results.manifest import listed_files
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
-from torchjoint.results.shared_edits import edits_of_names
 from torchjoint.runtime import outputs
 from torchjoint.runtime.files import FULL, PARTIAL, no_link
 from torchjoint.runtime.foreign_files import damage_is
+from torchjoint.runtime.messages import printable
 from torchjoint.runtime.threads import on_cpu
 
 #: Files in a partial folder: the marker that it is complete; the marker that the earlier result has moved.
@@ -99,7 +97,7 @@ def own_files(out: Path) -> set[Path]:
 def output_folder(
     out: Path, source: str, *, key: str = "", overwrite: bool = False, inputs: Sequence[Path | None] = ()
 ) -> Iterator[Path | None]:
-    """Yields a temporary folder, which becomes `out` on success. After an error it stays, so that the run can resume.
+    """Yields a temporary folder, which becomes `out` on success. After an error it stays if it has a `key`, to resume.
 
     Args:
         out: the result's folder.
@@ -140,8 +138,8 @@ def output_folder(
             if isinstance(error, OSError) and error.errno in FULL:  # which name no file
                 error.filename = error.filename or str(places.partial)
             is_ours = held.is_held() and places.partial.is_dir()
-            if is_ours and [path.name for path in places.partial.iterdir()] == [outputs.SOURCE]:  # nothing to resume
-                shutil.rmtree(places.partial)
+            if is_ours and (not key or [path.name for path in places.partial.iterdir()] == [outputs.SOURCE]):
+                shutil.rmtree(places.partial)  # nothing to resume
             raise
         held.check()
         _Marker(key, before).write(places.partial / COMPLETE)
@@ -244,13 +242,15 @@ def save_result(folder: Path, result: Result, overwrite: bool) -> None:
     """See :meth:`torchjoint.Result.save`."""
     parts = Parts(result)
     same = (one / 100 for one in (50, *range(101)) if (parts.level(one / 100) == parts.level(None)).all())
-    with output_folder(folder, f"a result {os.urandom(8).hex()}", overwrite=overwrite) as partial:  # none is resumed
+    for one, name in result.segment_names.items():
+        if type(one) is not int or not isinstance(name, str):
+            raise TypeError(f"segment_names: expected texts by ids, got {one!r}: {name!r}")
+    there = {*result.points.unique().tolist()}
+    made = {"names": {one: printable(name) for one, name in result.segment_names.items() if one in there and name}}
+    source, config = f"a result {os.urandom(8).hex()}", result.config or Config()
+    with output_folder(folder, source, overwrite=overwrite) as partial:
         assert partial is not None  # only runs with a key can be finished
-        write_result(partial, result.scene, result, result.config or Config(), str(folder), next(same, None))
-        read_points(partial)  # what could not be read again, such as ids above the number of points, is an error now
+        write_result(partial, result.scene, result, config, str(folder), next(same, None), made=made)
+        read_result(partial)  # what could not be read again, such as ids above the number of points, is an error now
         if result.embeddings is not None:
             result.embeddings.save(partial)
-        there = {*result.points.unique().tolist()}
-        names = {one: name for one, name in result.segment_names.items() if one in there}
-        if steps := edits_of_names(replace(result, segment_names=names_of_masks(partial)), names, parts.of_point):
-            write_edits(partial, Edits(parts.count, steps=steps, of=manifest_checksum(partial)))

@@ -20,6 +20,7 @@ from torchjoint.results.picking import Pick, Pixels, Prompts, pick
 from torchjoint.results.relations import Relations, relations
 from torchjoint.results.render import label_colors
 from torchjoint.runtime.messages import needed_for
+from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Scene, Segmentation
 
 
@@ -90,6 +91,7 @@ class Result(Segmentation):
         """The saved vectors, for the segments of this level, with their corrections; None: none were saved."""
         return None if self.saved_embeddings is None else self.saved_embeddings.of(self.points)
 
+    @on_cpu()
     def records(self) -> list[SegmentRecord]:
         """Describes each segment: name, points, centre, box, colour, and the frames that see it."""
         return [replace(one, name=self.segment_names.get(one.id, "")) for one in segment_records(self.scene, self)]
@@ -119,6 +121,7 @@ class Result(Segmentation):
         """
         return best_crops(self.scene, self, segment, k, margin)
 
+    @on_cpu()
     def embed(self, encoder: Encoder, k: int = 3, size: int = 224, margin: float = 0.1) -> Embeddings:
         """Embeds each segment of the cloud by its best views; then words find things: ``embeddings.find(text)``.
 
@@ -154,6 +157,7 @@ class Result(Segmentation):
             raise ValueError("embeddings: none were saved with this result; result.embed(encoder).save(folder) does it")
         return self.embeddings.find(query, k)
 
+    @on_cpu()
     def graph(self) -> Relations:
         """Which segments of the cloud stand on, hang on, contain and touch which, from geometry alone.
 
@@ -174,7 +178,8 @@ class Result(Segmentation):
             overwrite: replace an earlier result.
 
         Raises:
-            FileExistsError, OSError: the folder is there, or cannot be written.
+            FileExistsError, OSError: the folder is there, or has corrections by hand, or cannot be written.
+            TypeError: a name is no text, or its id no integer.
         """
         from torchjoint.results.output_folder import save_result
 
@@ -193,6 +198,7 @@ class Result(Segmentation):
         cloud.point.labels = self.points[:, None].to(torch.int32).numpy()  # Open3D writes no int64 into files
         return cloud
 
+    @on_cpu()
     def pick(
         self,
         points: Tensor | None = None,

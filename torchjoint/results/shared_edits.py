@@ -156,7 +156,8 @@ def edits_of_boxes(
         if holder is not None:
             steps.append(Edit("join", (int(place[segment_of[holder]]), int(place[segment]))))
     empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
-    names = edits_of_names(result, {one: boxes[number].name for number, one in segment_of.items()}, superpoint, is_text)
+    called = {one: _told(boxes[number].name) for number, one in segment_of.items()}
+    names = edits_of_names(result, called, superpoint, is_text)
     return BoxEdits((*steps, *names), len(steps), len(names), empty, len(own) - len(segment_of) - len(steps))
 
 
@@ -210,9 +211,9 @@ def edits_of_names(result: Result, names: Mapping[int, str], superpoint: Table, 
     """The corrections that give segments their names; arguments as of :func:`edits_of_boxes`."""
     place, before = _places(result, superpoint), result.segment_names
     return tuple(
-        Edit("name", (int(place[segment]),), _told(name))
+        Edit("name", (int(place[segment]),), name.strip())
         for segment, name in sorted(names.items())
-        if _told(name) not in ("", (_words if is_text else str.strip)(before.get(segment, "")))
+        if name.strip() not in ("", (_words if is_text else str.strip)(before.get(segment, "")))
     )
 
 

@@ -11,25 +11,21 @@ from torch import Tensor
 from torchjoint.runtime.groups import with_none
 from torchjoint.runtime.messages import counted
 from torchjoint.runtime.store import Packed, pack
-from torchjoint.runtime.threads import LazySequence, one_thread_per_operation
+from torchjoint.runtime.threads import LazySequence, on_cpu, one_thread_per_operation
 from torchjoint.scene.hierarchy import Confidence, Hierarchy
 from torchjoint.scene.scene import Scene
 
 
 def level_images(
-    images: Sequence[Tensor],
-    num_before: int,
-    table: Tensor,
-    num_after: int,
-    superpoints: Sequence[Tensor] | None = None,
+    images: Sequence[Tensor], before: int, table: Tensor, after: int, superpoints: Sequence[Tensor] | None = None
 ) -> LazySequence[Tensor]:
     """Label images with the labels of another level, or with other numbers: [H, W] int64, computed at each access.
 
     Args:
-        images: [H, W] int64 per frame, -1 = none. Segments with ids from `num_before` on have no points; they stay.
-        num_before: number of 3D segments in `images`.
+        images: [H, W] int64 per frame, -1 = none. Segments with ids from `before` on have no points; they stay.
+        before: number of 3D segments in `images`.
         table: [K] int64, the new label of each 3D segment, or of each superpoint.
-        num_after: number of 3D segments after the change; the ids of segments without points follow.
+        after: number of 3D segments after the change; the ids of segments without points follow.
         superpoints: for a table of superpoints: [H, W] int64 per frame, the superpoint of each pixel in a 3D segment,
             else -1.
     """
@@ -37,13 +33,13 @@ def level_images(
 
     def read(index: int) -> Tensor:
         labels = images[index]
-        private = labels >= num_before
+        private = labels >= before
         of_table = labels.masked_fill(private, -1) if superpoints is None else superpoints[index]
         if of_table.shape != labels.shape:
             raise ValueError(f"superpoints of image {index}: expected {list(labels.shape)}, got {list(of_table.shape)}")
         with one_thread_per_operation():  # no decorator, which cannot be pickled
             found = known.index_select(0, of_table.reshape(-1) + 1).view(labels.shape)
-            return torch.where(private, labels + (num_after - num_before), found)
+            return torch.where(private, labels + (after - before), found)
 
     return LazySequence(len(images), read)
 
@@ -132,6 +128,7 @@ class Segmentation:
         return with_none(self._confidence.of_superpoint)[self.hierarchy.superpoint].clamp(min=0)
 
     @cached_property
+    @on_cpu()
     def _confidence(self) -> Confidence | None:
         if self.hierarchy is None or self.hierarchy.votes is None:
             return None

@@ -1,6 +1,5 @@
 """The viewer's page: a panel of controls beside the cloud, and the reaction to each click."""
 
-import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -22,7 +21,7 @@ from torchjoint.viewer.measures import hues_of_keys
 from torchjoint.viewer.model import Bytes, Model, export_selected
 from torchjoint.viewer.painting import RelationLines, painted, point_colors
 from torchjoint.viewer.panel import RESET, Panel
-from torchjoint.viewer.server import Cameras, Eyes, Page, Viewpoint, add_camera, ray_of, viewpoint
+from torchjoint.viewer.server import Cameras, Eyes, Page, Turns, Viewpoint, add_camera, ray_of, viewpoint
 from torchjoint.viewer.shown import Shown
 
 
@@ -41,18 +40,13 @@ class Viewer:
     """
 
     def __init__(
-        self,
-        result: Result,
-        shown: Shown | None = None,
-        *,
-        granularity: float | None = None,
-        page: Page | None = None,
+        self, result: Result, shown: Shown | None = None, *, granularity: float | None = None, page: Page | None = None
     ) -> None:
         self._shown = shown or Shown()
         self._saved = self._shown.edits(result, granularity)  # the corrections as they were read or saved last
         self.model = Model(result, self._saved, up_direction(result.scene).numpy())
         self._typed = ""  # the last name that came from a page
-        self._lock = threading.RLock()  # viser calls the functions below on several threads
+        self._lock = Turns()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
         self._made = self._saved.steps  # the corrections after the last action
         self.page = page or Page()
@@ -123,6 +117,7 @@ class Viewer:
         self.model = model
         if shown is not None:
             self._shown, self._saved = shown, shown.edits(model.result)
+            self._made = self._saved.steps  # names of a run may be the same steps, and are not saved yet
             self._add_panel(*kept)
             self._work_behind()
         self._guarded(self._draw)
@@ -194,10 +189,9 @@ class Viewer:
         self._draw()
 
     def _connect_scene(self) -> None:
-        for modifier in (None, "shift"):
-            self.server.scene.on_click(modifier=modifier)(
-                lambda event, more=modifier is not None: self._guarded(self._on_ray, event, more)
-            )
+        for modifier, more in ((None, False), ("shift", True)):
+            clicked = self.server.scene.on_click(modifier=modifier)
+            clicked(lambda event, more=more: self._guarded(self._on_ray, event, more))
 
         @self.server.on_client_connect
         def _(client: Any) -> None:
@@ -322,12 +316,12 @@ class Viewer:
     def _on_typed(self, event: Any) -> None:
         if event.client is not None:  # else it was drawn, perhaps by an action that letters wait for
             self._typed = self._panel.name.value
-            self._guarded(self._on_name)
+            self._guarded(self._on_name, self._typed)
 
-    def _on_name(self) -> None:
-        if self._typed != (before := self._selected_name()):
+    def _on_name(self, name: str) -> None:
+        if name != (before := self._selected_name()):
             try:
-                self.model.name(self._typed)
+                self.model.name(name)
             except ValueError:  # only then: after a success the user may have typed on
                 self._panel.name.value = before
                 raise

@@ -115,10 +115,8 @@ class CloudView:
         """Writes a sign at each clicked point: + on the thing, - beside it."""
         for handle in self._marks:
             handle.remove()
-        self._marks = [
-            self._server.scene.add_label(f"/click/{index}", SIGNS[belongs], position=self._points[point])
-            for index, (point, belongs) in enumerate(clicks)
-        ]
+        add, points = self._server.scene.add_label, self._points
+        self._marks = [add(f"/click/{one}", SIGNS[on], position=points[at]) for one, (at, on) in enumerate(clicks)]
 
     def light(self, client: Any, name: str, point: int, members: npt.NDArray[np.int64]) -> None:
         """Lights a thing up on the page of one client, and writes its name at one of its points."""

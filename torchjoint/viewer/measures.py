@@ -93,11 +93,7 @@ class Measures:
     def rows(self, names: Mapping[int, str], search: str, order: str, most: int) -> tuple[list[Row], int]:
         """See :meth:`~torchjoint.viewer.model.Model.rows`; `names`: by segment."""
         keys, counts = self.ids, dict(zip(self._firsts.tolist(), self._counts.tolist(), strict=True))
-        found = [
-            first
-            for first in counts
-            if not search or search.lower() in names.get(first, "").lower() or search == str(keys[first])
-        ]
+        found = [one for one in counts if search.lower() in names.get(one, "").lower() or search == str(keys[one])]
         places: dict[str, Callable[[int], object]] = {
             "id": lambda one: 0,
             "name": lambda one: names.get(one, "\uffff").lower(),

@@ -40,9 +40,8 @@ def superpoints_of_clicks(parts: Parts, edits: Edits, clicks: Sequence[Click]) -
     segments = np.unique(table[parts.of_point[[one.point for one in clicks]]])
     if len(segments) == 1 and all(one.belongs for one in clicks):
         return np.flatnonzero(table == segments)
-    on, off = (
-        torch.tensor([one.point for one in clicks if one.belongs == of], dtype=torch.int64) for of in (True, False)
-    )
+    points = ([one.point for one in clicks if one.belongs == of] for of in (True, False))
+    on, off = (torch.tensor(each, dtype=torch.int64) for each in points)
     return _at_level(parts.result, edits.granularity).pick(on, negative=off).superpoints.numpy()
 
 
@@ -318,10 +317,8 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     keys = np.append(keys, -1)  # of pixels without a superpoint
     labels = torch.from_numpy(keys[model.parts.of_point])
     if kind == "PLY":
-        chosen = result.scene.select_points(labels >= 0)
-        return _written(
-            f"{name}.ply", lambda file: write_cloud(file, chosen.points, chosen.colors, labels[labels >= 0])
-        )
+        chosen, ids = result.scene.select_points(labels >= 0), labels[labels >= 0]
+        return _written(f"{name}.ply", lambda file: write_cloud(file, chosen.points, chosen.colors, ids))
     if kind not in ("PNG", "COCO"):
         raise ValueError(f"export: expected PLY, PNG or COCO, got {kind!r}")
     images = LazySequence(len(result.images), lambda index: torch.from_numpy(keys[model.parts.image(index)]))

@@ -186,6 +186,31 @@ class Eyes:
             client.camera.near = self._near
 
 
+class Turns:
+    """A lock that threads get in the order in which they asked for it; the one that has it may ask again.
+
+    Others get a lock in any order: what was typed while an action worked went to what was clicked before or after it.
+    """
+
+    def __init__(self) -> None:
+        self._changed, self._asked = threading.Condition(), list[int]()  # threads; the first one has the lock
+
+    def __enter__(self) -> None:
+        own = threading.get_ident()
+        with self._changed:
+            self._asked.insert(0 if self._asked[:1] == [own] else len(self._asked), own)
+            try:
+                self._changed.wait_for(lambda: self._asked[0] == own)
+            except BaseException:  # Ctrl-C
+                self._asked.remove(own)
+                raise
+
+    def __exit__(self, *_: object) -> None:
+        with self._changed:
+            del self._asked[0]
+            self._changed.notify_all()
+
+
 def import_viser() -> Any:
     """Returns the module viser."""
     with needed_for("the viewer", "viser", "torchjoint[viewer]"):

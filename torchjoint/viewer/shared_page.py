@@ -1,8 +1,8 @@
 """Writes a result as one HTML file to share: the cloud, its levels, and a row of its images (output after step 8)."""
 
-import base64
 import io
 import json
+from base64 import b64encode
 from contextlib import suppress
 from dataclasses import replace
 from html import escape
@@ -137,11 +137,8 @@ def _packed(values: npt.NDArray[Any]) -> tuple[str, str]:
     """The name of the array's kind in JavaScript, and its bytes in base64; whole numbers take as few as they need."""
     if values.dtype == np.uint32 and values.max(initial=0) < 1 << 16:
         values = values.astype(np.uint16)
-    return f"{values.dtype.name.capitalize()}Array", _base64(values.astype(values.dtype.newbyteorder("<")).tobytes())
-
-
-def _base64(content: bytes) -> str:
-    return base64.b64encode(content).decode("ascii")
+    content = values.astype(values.dtype.newbyteorder("<")).tobytes()
+    return f"{values.dtype.name.capitalize()}Array", b64encode(content).decode()
 
 
 def _picture(parts: Parts, index: int) -> str:
@@ -165,4 +162,4 @@ def encoded_image(image: Image.Image, kind: str, **options: Any) -> str:
     """The bytes of an image as text, for an address in a page."""
     stream = io.BytesIO()
     image.save(stream, kind, **options)
-    return _base64(stream.getvalue())
+    return b64encode(stream.getvalue()).decode()

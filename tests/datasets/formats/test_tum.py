@@ -57,6 +57,16 @@ def test_a_recording_comes_back(folder, synthetic):
     assert_same_segmentation(scene, expected)
 
 
+def test_two_poses_of_one_time_are_told(folder):
+    file = folder / "groundtruth.txt"
+    time, *numbers = (line := file.read_text().splitlines()[1]).split()
+    file.write_text("\n".join((file.read_text(), line, " ".join((time, "0.5", *numbers[1:])))))
+    with pytest.warns(
+        UserWarning, match=r"groundtruth\.txt: lines of other numbers at the time of an earlier one.*: 1"
+    ):
+        tj.load_scene(folder)
+
+
 def test_a_cloud_is_fused(tmp_path, synthetic):
     scene = tj.load_scene(write(tmp_path / "recording", synthetic, cloud=False), voxel_size=0.05)
     assert len(scene.points) > 1000

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from io import TextIOWrapper
@@ -74,12 +75,14 @@ def read_rows(path: Path, layout: str, columns: int) -> list[tuple[str, list[flo
 
 
 def read_timed_rows(path: Path, layout: str, columns: int) -> npt.NDArray[np.float64]:
-    """Reads lines of a time and other numbers, [N, columns], sorted by time; of lines with equal times the first."""
-    rows = read_rows(path, layout, columns)
-    if not rows:
+    """Reads lines of a time and other numbers, [N, columns], sorted by time; of equal times the first (told)."""
+    table = np.array([numbers for _, numbers in read_rows(path, layout, columns)])
+    if not len(table):
         raise ValueError(f"{path}: expected lines of {layout}, got none")
-    table = np.array([numbers for _, numbers in rows])
-    return table[np.unique(table[:, 0], return_index=True)[1]]
+    kept = table[np.unique(table[:, 0], return_index=True)[1]]
+    if others := len(np.unique(table, axis=0)) - len(kept):
+        warnings.warn(f"{path}: lines of other numbers at the time of an earlier one, left out: {others}", stacklevel=5)
+    return kept
 
 
 class Record:
