@@ -1,7 +1,5 @@
 """Step 6, methods paper and scan: equations of the paper, images count as they should, runs never matter."""
 
-import dataclasses
-
 import pytest
 import torch
 
@@ -102,18 +100,3 @@ class TestSameLabels:
         config, graph, state = case
         set_threads(threads)
         assert torch.equal(segment_points(graph, state, config), labels)
-
-    def test_from_frames_in_another_order(self, synthetic, case, labels):
-        config, graph, _ = case
-        frames = [synthetic.scene.frames[i] for i in (4, 0, 5, 2, 1, 3)]
-        _, state = graph_and_state(dataclasses.replace(synthetic.scene, frames=frames), config)
-        assert torch.equal(segment_points(graph, state, config), labels)
-
-    def test_from_two_segmenters_merged(self, synthetic, case, labels):
-        scene, (config, _, _) = synthetic.scene, case
-        first, second = tj.JointSegmenter(config), tj.JointSegmenter(config)
-        for segmenter, frames in ((first, scene.frames[1::2]), (second, scene.frames[::2])):
-            segmenter.reset(scene.points, scene.colors)
-            segmenter.update(list(frames))
-        first.merge(second)
-        assert torch.equal(segment_points(first.graph, first.state, config), labels)
