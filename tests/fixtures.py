@@ -46,11 +46,15 @@ def small_overviews() -> Iterator[None]:
         yield
 
 
+#: Folders and files of :func:`one_copy`: none whose worker processes' results are compared, which know no such patch.
+ONE_COPY = {"cli", "labels", "masks", "results", "viewer", "test_batch.py", "test_live.py", "test_segment.py"}
+
+
 @pytest.fixture(scope="module", autouse=True)
 def one_copy(request: pytest.FixtureRequest) -> Iterator[None]:
     """Step 6 judges one copy of the surface, which takes half as long, where no test is about the segments it finds."""
     with pytest.MonkeyPatch.context() as patch:
-        if {"cli", "labels", "masks", "recordings", "results", "viewer", "test_live.py"} & set(request.path.parts):
+        if ONE_COPY & set(request.path.parts):
             patch.setattr("torchjoint.segments.learned.method.COPIES", 1)
         yield
 

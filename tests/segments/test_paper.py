@@ -1,4 +1,4 @@
-"""Step 6, methods paper and scan: equations of the paper, images count as they should, runs never matter."""
+"""Step 6, methods paper and scan: equations of the paper, images count as they should."""
 
 import pytest
 import torch
@@ -87,16 +87,3 @@ class TestWeight0:
         labels = segment_points(graph, state, config.set(["paper.weight=1000"]))
         assert labels.shape == (graph.num_points,)
         assert labels.max() > 3
-
-
-class TestSameLabels:
-    @pytest.fixture
-    def labels(self, case):
-        config, graph, state = case
-        return segment_points(graph, state, config)
-
-    @pytest.mark.parametrize("threads", [1, 2, 4])
-    def test_on_any_number_of_threads(self, case, labels, threads, set_threads):
-        config, graph, state = case
-        set_threads(threads)
-        assert torch.equal(segment_points(graph, state, config), labels)
