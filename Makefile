@@ -16,8 +16,8 @@ install: # as README's test command does
 test:
 	$(PYTHON) -m pytest -n 2
 
-slow: # the sweeps and lab, which `test` leaves out; a worker takes files as a whole, as far as it can: fixtures once
-	$(PYTHON) -m pytest -n 2 --dist worksteal -m "slow or lab" tests torchjoint lab
+slow: # the sweeps and lab, which `test` leaves out
+	$(PYTHON) -m pytest -n 2 -m "slow or lab" tests torchjoint lab
 
 coverage: # which lines the tests run
 	$(PYTHON) -m pytest -n 2 --cov --cov-report=term:skip-covered --cov-report=html:build/coverage

@@ -1,6 +1,7 @@
-"""What the tests share."""
+"""What the tests share. torch is imported where it is used: xdist's first process, which runs no test, needs none."""
 
 import functools
+import gc
 import os
 import sys
 import warnings
@@ -9,14 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from hypothesis import HealthCheck, settings
-
-from torchjoint.cli.main import main
-from torchjoint.scene import Scene, Segmentation
-from torchjoint.synthetic import SyntheticScene, make_scene
-from torchjoint.views.observations import Observation
-from torchjoint.views.visibility import Visible
 
 # How fast a machine is says nothing about the code: no test fails because an example takes long to make or to run.
 settings.register_profile("torchjoint", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -24,7 +18,16 @@ settings.load_profile("torchjoint")
 
 
 if "PYTEST_XDIST_WORKER" in os.environ:
+    import torch
+
     torch.set_num_threads(1)  # each processor has a worker
+    gc.disable()  # till all tests are collected
+
+
+def pytest_collection_finish() -> None:
+    """What was collected stays to the end: no search for garbage walks through it again and again."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -43,7 +46,20 @@ def small_overviews() -> Iterator[None]:
         yield
 
 
-def _small_overview(scene: Scene, result: Segmentation, **_: Any) -> Any:
+#: Folders and files of :func:`one_copy`: none whose worker processes' results are compared, which know no such patch.
+ONE_COPY = {"cli", "labels", "masks", "results", "viewer", "test_batch.py", "test_live.py", "test_segment.py"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_copy(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Step 6 judges one copy of the surface, which takes half as long, where no test is about the segments it finds."""
+    with pytest.MonkeyPatch.context() as patch:
+        if ONE_COPY & set(request.path.parts):
+            patch.setattr("torchjoint.segments.learned.method.COPIES", 1)
+        yield
+
+
+def _small_overview(*_: Any, **__: Any) -> Any:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(1, 1))
@@ -59,14 +75,17 @@ def shared() -> Path:
 
 
 @pytest.fixture(scope="session")
-def scene_of() -> Callable[..., SyntheticScene]:
+def scene_of() -> Callable[..., Any]:
     """`make_scene` with 3,000 points, each scene made once. Tests leave what they get as it is."""
+    from torchjoint.synthetic import make_scene
+
     return functools.cache(functools.partial(make_scene, num_points=3000))
 
 
 @pytest.fixture(scope="session")
 def run() -> Callable[..., None]:
     """The command line: `run("segment", folder, "-o", out)`."""
+    from torchjoint.cli.main import main
 
     def command(*arguments: object) -> None:
         with pytest.MonkeyPatch.context() as patch:
@@ -80,16 +99,22 @@ def run() -> Callable[..., None]:
 @pytest.fixture
 def set_threads() -> Iterator[Callable[[int], None]]:
     """`torch.set_num_threads`; after the test torch has as many threads as before."""
+    import torch
+
     before = torch.get_num_threads()
     yield torch.set_num_threads
     torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")
-def seen() -> Callable[..., Observation]:
+def seen() -> Callable[..., Any]:
     """An observation of a strip of pixels, one for each of the points; the labels are those of the image there."""
+    import torch
 
-    def observation(points: list[int], image_labels: list[int]) -> Observation:
+    from torchjoint.views.observations import Observation
+    from torchjoint.views.visibility import Visible
+
+    def observation(points: list[int], image_labels: list[int]) -> Any:
         point = torch.tensor(points, dtype=torch.int64)
         column = torch.arange(len(point))
         labels = torch.full((1, max(len(point), 1)), -1, dtype=torch.int32)  # an image has at least one pixel

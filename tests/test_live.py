@@ -365,9 +365,6 @@ def test_a_state_survives_a_kill(frames, tmp_path):
 DEVICE = pytest.param(lambda: torch.device("meta"), marks=pytest.mark.slow)
 
 
-DEVICE = pytest.param(lambda: torch.device("meta"), marks=pytest.mark.slow)
-
-
 @pytest.mark.parametrize("around", [torch.inference_mode, DEVICE], ids=["inference", "device"])
 def test_inference_mode_and_a_default_device_change_no_label(frames, around, tmp_path):
     expected = played(frames).result()

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import pytest
 from fixtures import *  # noqa: F403 (pytest finds fixtures by name)
-from torchjoint_lab.cli import main
 
 
 @pytest.fixture(scope="session")
 def run_lab() -> Callable[..., None]:
     """The lab's command line: `run_lab("benchmark", "mosd", "-o", out)`."""
+    from torchjoint_lab.cli import main
 
     def command(*arguments: object) -> None:
         with pytest.MonkeyPatch.context() as patch:

@@ -1,6 +1,4 @@
-"""Step 6, methods paper and scan: equations of the paper, images count as they should, runs never matter."""
-
-import dataclasses
+"""Step 6, methods paper and scan: equations of the paper, images count as they should."""
 
 import pytest
 import torch
@@ -89,31 +87,3 @@ class TestWeight0:
         labels = segment_points(graph, state, config.set(["paper.weight=1000"]))
         assert labels.shape == (graph.num_points,)
         assert labels.max() > 3
-
-
-class TestSameLabels:
-    @pytest.fixture
-    def labels(self, case):
-        config, graph, state = case
-        return segment_points(graph, state, config)
-
-    @pytest.mark.parametrize("threads", [1, 2, 4])
-    def test_on_any_number_of_threads(self, case, labels, threads, set_threads):
-        config, graph, state = case
-        set_threads(threads)
-        assert torch.equal(segment_points(graph, state, config), labels)
-
-    def test_from_frames_in_another_order(self, synthetic, case, labels):
-        config, graph, _ = case
-        frames = [synthetic.scene.frames[i] for i in (4, 0, 5, 2, 1, 3)]
-        _, state = graph_and_state(dataclasses.replace(synthetic.scene, frames=frames), config)
-        assert torch.equal(segment_points(graph, state, config), labels)
-
-    def test_from_two_segmenters_merged(self, synthetic, case, labels):
-        scene, (config, _, _) = synthetic.scene, case
-        first, second = tj.JointSegmenter(config), tj.JointSegmenter(config)
-        for segmenter, frames in ((first, scene.frames[1::2]), (second, scene.frames[::2])):
-            segmenter.reset(scene.points, scene.colors)
-            segmenter.update(list(frames))
-        first.merge(second)
-        assert torch.equal(segment_points(first.graph, first.state, config), labels)

@@ -35,7 +35,6 @@ from torchjoint.viewer.shown import LiveRun, Shown
 from torchjoint.viewer.truth import with_truth
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
-sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 pytestmark = [
@@ -56,6 +55,7 @@ NO_NOTE = f"addEventListener('DOMContentLoaded', () => document.head.insertAdjac
 
 @pytest.fixture(scope="module")
 def browser():
+    sync_api = pytest.importorskip("playwright.sync_api", reason="the browser tests need playwright")
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=BROWSER, args=FLAGS)
         yield browser

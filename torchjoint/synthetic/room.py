@@ -115,19 +115,18 @@ def _small_thing(rng: Rng) -> Thing:
     name = str(rng.choice(["box", "box", "cup", "bowl", "ball", "can", "book", "book", "paper", "tray"]))
     r, (x, y, z) = rng.uniform(0.035, 0.05), rng.uniform((0.12, 0.1, 0.06), (0.22, 0.17, 0.24))
     kind = {"cup": "concave", "bowl": "concave", "tray": "concave", "paper": "flat"}.get(name, "other")
-    walls = [box(0.008, y, 0.07, (side * x / 2, 0.0, 0.0)) for side in _SIDES]
-    walls += [box(x, 0.008, 0.07, (0.0, side * y / 2, 0.0)) for side in _SIDES]
+    walls = [(0.008, y, side * x / 2, 0.0) for side in _SIDES] + [(x, 0.008, 0.0, side * y / 2) for side in _SIDES]
     solids = {
-        "box": [box(x, y, z)],
-        "cup": _cup(r, 0.1, 10),
-        "bowl": _cup(1.8 * r, 1.3 * r, 14),
-        "ball": [lathe([(r * np.sin(t), r * (1 - np.cos(t))) for t in np.linspace(0.2, np.pi - 0.2, 8)])],
-        "can": [lathe([(r, 0.0), (r, 2.5 * r)])],
-        "book": [box(0.8 * x, 1.4 * y, 0.7 * r)],
-        "paper": [box(0.15, 0.21, 0.002)],
-        "tray": [box(x, y, 0.008), *walls],
+        "box": lambda: [box(x, y, z)],
+        "cup": lambda: _cup(r, 0.1, 10),
+        "bowl": lambda: _cup(1.8 * r, 1.3 * r, 14),
+        "ball": lambda: [lathe([(r * np.sin(t), r * (1 - np.cos(t))) for t in np.linspace(0.2, np.pi - 0.2, 8)])],
+        "can": lambda: [lathe([(r, 0.0), (r, 2.5 * r)])],
+        "book": lambda: [box(0.8 * x, 1.4 * y, 0.7 * r)],
+        "paper": lambda: [box(0.15, 0.21, 0.002)],
+        "tray": lambda: [box(x, y, 0.008), *(box(a, b, 0.07, (i, j, 0.0)) for a, b, i, j in walls)],
     }
-    return Thing(name, kind, solids[name], Paint(rng, size=rng.uniform(0.03, 0.08)))
+    return Thing(name, kind, solids[name](), Paint(rng, size=rng.uniform(0.03, 0.08)))
 
 
 def _strewn(rng: Rng, width: float, depth: float, share: float) -> Iterator[Thing]:
@@ -196,19 +195,20 @@ def look(things: list[Thing], camera: Array, pose: Array, size: Sequence[int]) -
     row, column = np.mgrid[: size[0], : size[1]].astype(float)
     ahead = ((column - camera[0, 2]) / camera[0, 0], (row - camera[1, 2]) / camera[1, 1], np.ones(size))
     rays, eye = np.stack([dot(pose[:3, i], ahead) for i in range(3)]), -dot(pose[:3, :3], pose[:3, 3])
-    depth, index, normal = np.full(size, np.inf), np.full(size, -1), np.zeros((3, *size))
+    depth, index, face, normal = np.full(size, np.inf), np.full(size, -1), np.zeros(size, int), np.zeros((3, *size))
     solids = [(label, solid) for label, thing in enumerate(things) for solid in thing.solids]
     for number, (_, solid) in enumerate(solids):
-        window = _window(solid, camera, pose)
-        entry, face = _enter(solid, eye, rays[:, *window])
+        if not (within := rays[:, *(window := _window(solid, camera, pose, size))]).size:
+            continue
+        entry, entered = _enter(solid, eye, within)
         nearer = entry < depth[window]
-        depth[window][nearer], index[window][nearer] = entry[nearer], number
-        normal[:, *window][:, nearer] = solid.normals[:, face[nearer]]
+        depth[window][nearer], index[window][nearer], face[window][nearer] = entry[nearer], number, entered[nearer]
     labels, color = np.full(size, -1), np.zeros((*size, 3))
     for number in np.unique(index[index >= 0]):
         here, (label, solid) = index == number, solids[number]
         place = eye[:, None] + rays[:, here] * depth[here] - solid.origin[:, None]
         labels[here], color[here] = label, things[label].paint.at(_turned(place, -solid.yaw))
+        normal[:, here] = solid.normals[:, face[here]]
     depth[index < 0] = 0
     lamp = (np.array([0.0, 0.0, 2.3]) - eye)[:, None, None] - rays * depth
     distance = np.sqrt(dot(lamp, lamp))
@@ -216,13 +216,14 @@ def look(things: list[Thing], camera: Array, pose: Array, size: Sequence[int]) -
     return View(labels, depth, -dot(normal, rays) / np.sqrt(dot(rays, rays)), np.clip(color * light[..., None], 0, 1))
 
 
-def _window(solid: Solid, camera: Array, pose: Array) -> tuple[slice, slice]:
-    """The rows and columns of an image in which a solid can be seen."""
+def _window(solid: Solid, camera: Array, pose: Array, size: Sequence[int]) -> tuple[slice, slice]:
+    """The rows and columns of an image in which a solid can be seen; none if one side of the view has all of it."""
     x, y, z = (dot(pose[i, :3], solid.corners) + pose[i, 3] for i in range(3))
-    if z.min() < 0.05:
-        return slice(None), slice(None)
-    row, column = camera[1, 1] * y / z + camera[1, 2], camera[0, 0] * x / z + camera[0, 2]
-    low, high = (np.maximum([f(row), f(column)], 0).astype(int) for f in (np.min, np.max))
+    row, column = camera[1, 1] * y + camera[1, 2] * z, camera[0, 0] * x + camera[0, 2] * z
+    inward = np.stack([z, row, column, (size[0] - 1) * z - row, (size[1] - 1) * z - column])
+    if (beyond := inward.max(1).min() <= 0) or z.min() < 0.05:
+        return slice(0 if beyond else None), slice(None)
+    low, high = (np.maximum([f(row / z), f(column / z)], 0).astype(int) for f in (np.min, np.max))
     return slice(low[0], high[0] + 2), slice(low[1], high[1] + 2)
 
 
@@ -231,8 +232,7 @@ def _enter(solid: Solid, eye: Array, rays: Array) -> tuple[Array, Array]:
     entry, leave, face = np.zeros(rays.shape[1:]), np.full(rays.shape[1:], np.inf), np.zeros(rays.shape[1:], int)
     with np.errstate(divide="ignore", invalid="ignore"):
         for number, normal in enumerate(solid.normals.T):
-            away = dot(normal, eye - solid.corners[:, solid.faces[number][0]])
-            closing = -dot(normal, rays)
+            away, closing = dot(normal, eye - solid.corners[:, solid.faces[number][0]]), -dot(normal, rays)
             at = np.where(closing * away > 0, away / closing, np.inf)
             if away > 0:  # the eye is before this face
                 face[at > entry] = number

@@ -172,11 +172,11 @@ def _under_shifts(
     """The measure of edges and jumps, without shift and under EDGE_SHIFTS; None: too few jumps."""
     rows = []
     for down, right in [(0, 0), *EDGE_SHIFTS]:
-        there = (row + down, column + right)
-        inside = (there[0] >= 0) & (there[0] < edges.shape[0]) & (there[1] >= 0) & (there[1] < edges.shape[1])
-        if float(jump[inside].sum()) < MIN_JUMPS:
+        at, across = row + down, column + right
+        inside = torch.nonzero((at >= 0) & (at < edges.shape[0]) & (across >= 0) & (across < edges.shape[1]))[:, 0]
+        if float((jumps := jump[inside]).sum()) < MIN_JUMPS:
             return None
-        rows.append(measure(edges[there[0][inside], there[1][inside]], jump[inside]))
+        rows.append(measure(edges[at[inside], across[inside]], jumps))
     return torch.stack(rows)
 
 
