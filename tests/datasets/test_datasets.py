@@ -321,12 +321,19 @@ def test_an_unknown_format_says_what_is_missing(tmp_path):
     with pytest.raises(ValueError, match=r"it is a file that ends in '\.mp4'\. .*`torchjoint formats` lists all"):
         tj.load_scene(tmp_path / "thing.mp4")
     (tmp_path / "none" / "a").mkdir(parents=True)  # a letter of each format's words
-    with pytest.raises(ValueError, match=r"it has 1 folders\. `torchjoint formats` lists all"):
+    with pytest.raises(ValueError, match=r"it has 1 folder\. `torchjoint formats` lists all"):
         tj.load_scene(tmp_path / "none")
-    (tmp_path / "tum" / "rgb").mkdir(parents=True)
-    for name in ("rgb.txt", "poses.txt"):
+    (tmp_path / "none" / "1.bin").touch()
+    with pytest.raises(ValueError, match=r"1 \.bin file, 1 folder\. For a cloud alone, give the file: "):
+        tj.load_scene(tmp_path / "none")
+    (tmp_path / "none" / "run.yaml").touch()
+    with pytest.raises(ValueError, match="none: expected a recording, got a result; `torchjoint show` shows it"):
+        tj.load_scene(tmp_path / "none")
+    for name in ("rgb", "depth"):
+        (tmp_path / "tum" / name).mkdir(parents=True)
+    for name in ("rgb.txt", "depth.txt"):
         (tmp_path / "tum" / name).write_text("x")
-    with pytest.raises(ValueError, match=r"it has 2 \.txt, 1 folders\. The most similar one needs rgb\.txt and ground"):
+    with pytest.raises(ValueError, match=r"2 folders, 2 \.txt files\. The most similar one needs rgb\.txt and ground"):
         tj.load_scene(tmp_path / "tum")
     (tmp_path / "empty" / "cloud.ply").write_text("x")
     with pytest.raises(ValueError, match=r"it has 1 \.ply\. For a cloud alone, give the file: .*cloud\.ply\. The most"):
@@ -448,6 +455,7 @@ class TestFingerprint:
         found = {fingerprint(scan)}
         (scan.parent / "run.log").write_bytes(b"")
         (scan.parent / "000002.bin").write_bytes(b"one")
+        (scan.parent / "000001.partial").mkdir()  # of a run in this folder
         assert {fingerprint(scan)} == found
         for file in (scan, calibration):
             file.write_bytes(b"other")

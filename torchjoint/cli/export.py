@@ -81,8 +81,7 @@ def export(
         loaded = select_masked(result, loaded)
     loaded = at_level(result, loaded, granularity)
     is_laz = format == "las" and read_origin(result).scene.lower().endswith(".laz")
-    suffix = ".laz" if is_laz else SUFFIXES.get(format, "")
-    out = out or Path(f"{result.resolve().name}-{format}{suffix}")
+    out = out or Path(f"{result.resolve().name}-{format}{'.laz' if is_laz else SUFFIXES.get(format, '')}")
     inputs, kinds = parts_of(result), _IN_FOLDER.get(format)
     made = output_files_in(out, kinds, overwrite, inputs) if kinds else output_file(out, overwrite, inputs)
     ends = [one for one in (SUFFIXES.get(format), _ALSO.get(format)) if one]

@@ -15,6 +15,7 @@ from torchjoint.cli.arguments import DEFAULTS, Flat, OptionalOut, output_file, r
 from torchjoint.cli.output import summarize
 from torchjoint.cli.show import growing_view, serve_until_interrupted
 from torchjoint.datasets import find_format, load_scene
+from torchjoint.datasets.formats import FORMATS
 from torchjoint.datasets.fusion import warn_of_poses
 from torchjoint.live import LiveResult, LiveSegmenter, RerunLog
 from torchjoint.recordings.playing import Played, computed_beside, play
@@ -86,8 +87,8 @@ def live(
     key, inputs = f"live {scene.absolute()}", (scene, *map(Path, model_checksums(config)))
     with logged as log, output_folder(out, key, overwrite=overwrite, inputs=inputs) as partial:
         assert partial is not None  # only runs with a key can be finished
-        find_format(scene, None)  # raises before the page opens
-        view = growing_view() if show else None
+        # A cloud alone is an error below, which opens no page.
+        view = growing_view() if show and find_format(scene, None) is not FORMATS["cloud_alone"] else None
         before = fingerprints(scene, None, out)
         recording = load_scene(scene, topics=dict(read_topics(topics)), time_limit=time_limit, fuse=False)
         if not len(recording.frames):

@@ -11,8 +11,9 @@ from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.readers import RESULTS
 from torchjoint.datasets.formats import FORMATS, Format
 from torchjoint.datasets.fusion import fuse_cloud
-from torchjoint.datasets.recording import Options
+from torchjoint.datasets.recording import CLOUD_SUFFIXES, Options
 from torchjoint.runtime.foreign_files import has_file, has_folder, is_there, or_unreadable
+from torchjoint.runtime.messages import counted
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene import Cloud, Scene
 from torchjoint.scene.checks import Invalid
@@ -124,7 +125,10 @@ def list_scenes(path: str | Path) -> dict[str, Path]:
         raise FileNotFoundError(f"scenes: {path} does not exist")
     found = _find_scenes(path)
     if not found:
-        told = f"scene: {path} is of no known format: it {_content(path)}.{_cloud_inside(path)}{_nearest(path)}"
+        if has_folder(path) and not RESULTS.isdisjoint(os.listdir(path)):
+            raise ValueError(f"scene: {path}: expected a recording, got a result; `torchjoint show` shows it")
+        cloud = _cloud_inside(path)
+        told = f"scene: {path} is of no known format: it {_content(path)}.{cloud}{_nearest(path, not cloud)}"
         raise ValueError(f"{told} `torchjoint formats` lists all; own frames: plain folder")
     return found
 
@@ -155,25 +159,25 @@ def _content(path: Path) -> str:
     """What a folder or file of no known format has, in a few words."""
     if has_file(path):
         return f"is a file that ends in {path.suffix!r}"
-    kinds = Counter("folders" if has_folder(one) else one.suffix or "files without suffix" for one in path.iterdir())
-    return f"has {', '.join(f'{count} {kind}' for kind, count in kinds.most_common(6)) or 'no files'}"
+    kinds = Counter("folder" if has_folder(one) else f"{one.suffix} file".strip() for one in sorted(path.iterdir()))
+    return f"has {', '.join(counted(count, kind) for kind, count in kinds.most_common(6)) or 'no files'}"
 
 
 def _cloud_inside(path: Path) -> str:
     inside = sorted(path.iterdir()) if has_folder(path) else []
-    found = [one for one in inside if has_file(one) and one.suffix.lower() in (".ply", ".pcd", ".las", ".laz", ".e57")]
+    found = [one for one in inside if has_file(one) and one.suffix.lower() in (*CLOUD_SUFFIXES, ".bin", ".npy")]
     if len(found) > 1 and found[0].suffix.lower() in (".las", ".laz"):
-        return (
-            " For objects of all its tiles, merge them (`pdal merge A.laz B.laz SITE.laz`), `torchjoint segment "
-            "SITE.laz`, and `torchjoint label OUT A.laz -o NEW.laz` for each; `torchjoint superpoints` takes all."
-        )
+        whole = "merge them (`pdal merge A.laz B.laz SITE.laz`), `torchjoint segment SITE.laz`"
+        each = "`torchjoint label OUT A.laz -o NEW.laz` for each; `torchjoint superpoints` takes all"
+        return f" For objects of all its tiles, {whole}, and {each}."
     return f" For a cloud alone, give the file: {found[0]}." if found else ""
 
 
-def _nearest(path: Path) -> str:
+def _nearest(path: Path, by_suffix: bool) -> str:
     """What the format needs that mentions most of the names in a folder, or most of their suffixes, if one does."""
     present = [*path.iterdir(), *path.glob("*/*/")] if has_folder(path) else [path]
-    names, suffixes = {one.name + "/" * one.is_dir() for one in present}, {one.suffix.lower() for one in present} - {""}
+    names = {one.name + "/" * one.is_dir() for one in present}
+    suffixes = {one.suffix.lower() for one in present} - {""} if by_suffix else ()
 
     def likeness(what: str) -> tuple[int, int]:
         return len(names.intersection(what.replace(",", "").split())), sum(suffix in what for suffix in suffixes)

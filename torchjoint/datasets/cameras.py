@@ -114,8 +114,8 @@ def resize_depth(depth: Tensor, size: tuple[int, int], name: str = "") -> Tensor
 
 def rotations_from_quaternions(quaternions: Matrix, name: str) -> Rotation:
     """Converts unit quaternions [N, 4], x y z w (Hamilton convention), to N rotations."""
-    lengths = np.linalg.norm(quaternions.clip(-2, 2), axis=1)  # clipped: squares of invalid numbers may overflow
-    wrong = np.flatnonzero(~(np.abs(lengths - 1) <= UNIT_TOLERANCE))
+    # clipped: squares of invalid numbers may overflow
+    wrong = np.flatnonzero(~(np.abs(np.linalg.norm(quaternions.clip(-2, 2), axis=1) - 1) <= UNIT_TOLERANCE))
     if len(wrong):
         told = f"{name}: expected unit quaternions"
         raise ValueError(f"{told}, got {len(wrong)} others, such as {quaternions[wrong[0]].tolist()} (x y z w)")

@@ -136,8 +136,7 @@ def _is_sparse(masks: Masks, mask: Tensor, size: Tensor) -> Tensor:
     if not len(mask):
         return torch.ones(len(masks), dtype=torch.bool)
     covered = torch.zeros(len(masks), dtype=torch.float64).index_add_(0, mask, size) / masks.areas().clamp(min=1)
-    usual = covered[mask].median()  # less is covered around half of the points
-    return covered < SPARSE * usual
+    return covered < SPARSE * covered[mask].median()  # less is covered around half of the points
 
 
 def _winners(part: Tensor, label: Tensor, num_parts: int, shown: _Shown) -> _Winners:

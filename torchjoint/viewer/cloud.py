@@ -120,12 +120,12 @@ class CloudView:
 
     def light(self, client: Any, name: str, point: int, members: npt.NDArray[np.int64]) -> None:
         """Lights a thing up on the page of one client, and writes its name at one of its points."""
-        shown = members[:: -(-len(members) // LIT) or 1]
+        shown = members[:: (step := -(-len(members) // LIT) or 1)]
         colors = (255 - 0.5 * (255.0 - self._colors[shown])).astype(np.uint8)
         at = self._points[shown] + 0.005 * (client.camera.position - self._points[shown])  # before their own colours
         self._lit = [client.scene.add_label("/name", name, position=self._points[point], anchor="bottom-center")]
         if len(shown):  # the page fails on a cloud without points, as of a selected thing
-            self._lit.append(self._add(client.scene, "/lit", at, colors, 1.1 * self._factor * self.size))
+            self._lit.append(self._add(client.scene, "/lit", at, colors, 1.1 * step**0.5 * self._factor * self.size))
 
     def unlight(self) -> None:
         """Takes back what :meth:`light` drew."""

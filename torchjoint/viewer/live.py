@@ -49,7 +49,7 @@ class GrowingView:
             note: a line at the top of the panel.
         """
         up = None if self.viewer else up_direction(Scene(live.cloud.points, seen.frames, up=seen.up))
-        scene = Scene(live.cloud.points, colors=live.cloud.colors, up=up)
+        scene = Scene(live.cloud.points, colors=live.cloud.colors, name=seen.name, up=up)
         result = Result.of(Segmentation(live.labels, ()), scene)
         if self.viewer is None:
             self.viewer = Viewer(result, Shown(is_running=True, has_camera=True), page=self.page)
@@ -108,7 +108,8 @@ class LiveView:
                 self._next = end + (end - start) * (1 / self._share - 1)
         if self.viewer is not None:
             seen, count = len(segmenter.state.observations), len(scene.frames)
-            self.viewer.tell(f"running: {seen} of {counted(count, 'frame')}; labels of {self._labelled}")
+            note = f"running: {seen} of {counted(count, 'frame')}; labels of {self._labelled}"
+            self.viewer.tell(note if count else "running")
 
     def finish(self, folder: Path, run: LiveRun) -> Viewer:
         """Shows the result that was written to a folder, with all controls."""

@@ -11,7 +11,7 @@
   const once = (condition, action) => (condition() ? action() : setTimeout(once, 200, condition, action));
   const matches = (query) => matchMedia(query).matches;
 
-  document.title = `${document.getElementById("tj-page").dataset.name} - torchjoint`;
+  document.title = [document.getElementById("tj-page").dataset.name, "torchjoint"].filter(Boolean).join(" - ");
   // viser drops what comes before the page's first camera, so this is sent until the page is dark.
   const wanted = Number(matches("(prefers-color-scheme: dark)"));
   const isDark = () => document.documentElement.dataset.mantineColorScheme === "dark";

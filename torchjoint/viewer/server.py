@@ -8,6 +8,7 @@ import threading
 import weakref
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
+from html import escape
 from ipaddress import ip_address
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -246,7 +247,7 @@ class Page:
         # Not atexit, which comes when Python has waited for all threads of pools, and no pool can begin another item.
         # Later, viser fails to tell that the pages have left.
         threading._register_atexit(_end, weakref.ref(self))  # type: ignore[attr-defined]
-        self.server.gui.add_markdown(note)
+        self.server.gui.add_html(f"<style onload=\"document.title = 'torchjoint'\"></style>{escape(note)}")
         on_open(self.url)
 
     def work(self, action: Callable[[], object]) -> None:

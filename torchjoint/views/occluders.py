@@ -83,8 +83,7 @@ def _ends_of_gaps(grid: Tensor, z: Tensor, of_noise: Tensor) -> Tensor:
     long = (fall > 0) & smooth[fall - 1] & smooth[rise + 1] & (last > first)
     one, other, in_front = point[fall], point[rise + 1], torch.maximum(z[point[first]], z[point[last]])
     step = torch.maximum(_step(z, of_noise, one), _step(z, of_noise, other))
-    nearer = in_front < torch.minimum(z[one], z[other]) - step
-    return torch.stack([one, other])[:, long & nearer]
+    return torch.stack([one, other])[:, long & (in_front < torch.minimum(z[one], z[other]) - step)]
 
 
 def _steps(row: Tensor, point: Tensor, z: Tensor, of_noise: Tensor) -> tuple[Tensor, Tensor]:

@@ -190,8 +190,8 @@ def _compare_chunks(reader: Any, header: LasHeader, path: Path) -> None:
         stream.seek(header.points_at)
         if not (chunks := lazrs.read_chunk_table(stream, kind)):
             raise ValueError(f"truncated: {header.num_points} points in its header, no chunks of points")
-        largest = max(count for count, _ in chunks)  # lazrs makes room for it, and aborts if there is none
-        bounds.check_unpacked(largest * header.record_size, path.stat().st_size)
+        # lazrs makes room for the largest one, and aborts if there is none
+        bounds.check_unpacked(max(count for count, _ in chunks) * header.record_size, path.stat().st_size)
         *full, last = chunks
         before = sum(count for count, _ in full)
         low, high = last[0] if kind.uses_variable_size_chunks() else 1, last[0]

@@ -154,9 +154,9 @@ def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = Fal
     folder = path if has_folder(path) else path.parent
     left_out = {os.path.abspath(one) for one in without}
     is_scan = folder != path and path.suffix.lower() in (".bin", ".pcd", ".png")
-    beside = (path, *folder.parent.glob(f"*/{path.stem}.*")) if is_scan else ()
+    beside = (path, *folder.parent.glob(f"*/{path.stem}.*")) if is_scan else ()  # a folder is OUT.partial
     near = () if is_scan else {*files_below(folder, left_out), *_around(folder, left_out)}
-    stats = [(str(file), *_size_and_time(file, changed)) for file in sorted({*near, *beside})]
+    stats = [(str(file), *_size_and_time(file, changed)) for file in sorted({*near, *beside}) if not file.is_dir()]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 
 

@@ -29,7 +29,7 @@ from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.runtime.groups import each_once
 from torchjoint.scene import Frame, Scene
 
-WHAT = "rgb.txt and groundtruth.txt, as of the TUM RGB-D benchmark"
+WHAT = "rgb.txt and groundtruth.txt, with rgb/ depth.txt depth/ (TUM RGB-D benchmark)"
 
 #: Largest difference between the timestamps of a match, seconds.
 TOLERANCE = 0.02

@@ -134,8 +134,7 @@ class MaskLinkage:
         That is one of enough points that most views show without a mask, so that it is no remain of a mask.
         """
         size = sum_by(of_superpoint, self.size, int(of_superpoint.max()) + 1)
-        of_images = self.masks.unmasked(of_superpoint) & (size >= MIN_SIZE_IN_IMAGES)
-        return self.confirmed(of_superpoint) | of_images
+        return self.confirmed(of_superpoint) | (self.masks.unmasked(of_superpoint) & (size >= MIN_SIZE_IN_IMAGES))
 
     def _tables(self, of_superpoint: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         size = sum_by(of_superpoint, self.size, int(of_superpoint.max()) + 1)
