@@ -724,7 +724,9 @@ def test_the_cloud_grows_while_frames_come(tab, scene_of, tmp_path):
     page = tab
     page.goto(f"{view.page.url}?fixedDpr=1")
     page.get_by_text("wait for it").wait_for()
-    view.show(first, tj.Scene(first.cloud.points, frames[:2]), "after 2 frames")
+    wait(lambda: page.title() == "torchjoint")  # no scene is known yet
+    view.show(first, tj.Scene(first.cloud.points, frames[:2], name="walk"), "after 2 frames")
+    wait(lambda: page.title() == "walk - torchjoint")
     wait(lambda: drawn(page) > 1000)
     wait(lambda: sees_all(view.viewer))
     wait(lambda: "after 2 frames" in page.inner_text("#tj-note"))

@@ -107,9 +107,8 @@ class LiveView:
                 end = time.monotonic()
                 self._next = end + (end - start) * (1 / self._share - 1)
         if self.viewer is not None:
-            seen, count = len(segmenter.state.observations), len(scene.frames)
-            note = f"running: {seen} of {counted(count, 'frame')}; labels of {self._labelled}"
-            self.viewer.tell(note if count else "running")
+            seen = f"{len(segmenter.state.observations)} of {counted(len(scene.frames), 'frame')}"
+            self.viewer.tell(f"running: {seen}; labels of {self._labelled}" if scene.frames else "running")
 
     def finish(self, folder: Path, run: LiveRun) -> Viewer:
         """Shows the result that was written to a folder, with all controls."""

@@ -247,7 +247,8 @@ class Page:
         # Not atexit, which comes when Python has waited for all threads of pools, and no pool can begin another item.
         # Later, viser fails to tell that the pages have left.
         threading._register_atexit(_end, weakref.ref(self))  # type: ignore[attr-defined]
-        self.server.gui.add_html(f"<style onload=\"document.title = 'torchjoint'\"></style>{escape(note)}")
+        title = "<style onload=\"document.title = 'torchjoint'\"></style>"
+        self.server.gui.add_html(f'{title}<div style="padding: 0.5em 1em">{escape(note)}</div>')
         on_open(self.url)
 
     def work(self, action: Callable[[], object]) -> None:
