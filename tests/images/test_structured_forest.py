@@ -142,10 +142,10 @@ class TestStructuredForestBoundary:
         monkeypatch.setattr(structured_forest, "files", lambda package: tmp_path)
         structured_forest._trees.cache_clear()
         with pytest.raises(ValueError, match=r"bsds500\.yml\.gz: not a whole"):
-            StructuredForestBoundary()
+            StructuredForestBoundary()(torch.rand(1, 3, 8, 8))
         (tmp_path / "bsds500.yml.gz").unlink()
         with pytest.raises(FileNotFoundError, match=r"bsds500\.yml\.gz: missing"):
-            StructuredForestBoundary()
+            StructuredForestBoundary()(torch.rand(1, 3, 8, 8))
 
 
 class TestModel:

@@ -187,10 +187,10 @@ class StructuredForestBoundary(nn.Module):
             raise ValueError(f"scales: expected numbers in (0, 4], got {scales!r}")
         self.model = None if model is None else str(Path(model).absolute())
         self.scales = tuple(float(scale) for scale in scales)
-        self.nms = nms
-        self.stride = stride
+        self.nms, self.stride = nms, stride
         self._file_version = _version(self.model)
-        _trees(self.model, self._file_version)  # report a bad file here, not at the first image
+        if model is not None:  # report a bad file here; the package's own is read for the first image
+            _trees(self.model, self._file_version)
 
     @torch.no_grad()
     def forward(self, images: Tensor) -> Tensor:
