@@ -67,6 +67,7 @@ def test_three_triangles_in_the_columns_of_torch_geometric():
         assert torch.equal(AddSuperpoints("pos", faces=name, scale=0.1)(data).superpoints, expected)
 
 
+@pytest.mark.filterwarnings("ignore:.* beams without return")
 def test_a_name_that_torch_geometric_offsets():
     class Offset(Data):
         def __inc__(self, key, value):
@@ -76,6 +77,8 @@ def test_a_name_that_torch_geometric_offsets():
     assert torch.equal(result.superpoints_batch, tj.superpoints(cloud(0)))
     assert not hasattr(result, "superpoints")
     assert hasattr(AddSuperpoints(points="pos", to="superpoints")(Offset(pos=cloud(0))), "superpoints")
+    with pytest.warns(UserWarning, match="superpoints_batch: in a batch, label -1 becomes one"):
+        AddSuperpoints(points="pos")(Offset(pos=torch.cat([torch.zeros(100, 3), cloud(0)])))
 
 
 def test_torch_geometric_s_own_data():
@@ -84,7 +87,6 @@ def test_torch_geometric_s_own_data():
     result = AddSuperpoints(points="pos")(data)
     assert "superpoints_batch" not in data
     assert torch.equal(result.superpoints_batch, tj.superpoints(cloud(0)))
-    # A batch keeps the ids of its clouds apart.
     other = AddSuperpoints(points="pos")(data_module.Data(pos=cloud(1)))
     both = data_module.Batch.from_data_list([result, other])
     ptr = torch.tensor([0, len(cloud(0)), len(cloud(0)) + len(cloud(1))])
@@ -104,9 +106,7 @@ def test_workers_of_a_loader(start):
     transform = AddSuperpoints()
     # Here first: a fork must not mind that torch has started threads.
     expected = [transform({"points": cloud(index)})["superpoints"] for index in range(5)]
-    loader = DataLoader(
-        Clouds(transform), batch_size=None, num_workers=2, multiprocessing_context=start, timeout=600
-    )  # fmt: skip
+    loader = DataLoader(Clouds(transform), batch_size=None, num_workers=2, multiprocessing_context=start, timeout=600)
     for sample in loader:
         assert torch.equal(sample["superpoints"], expected[sample["index"]])
 

@@ -7,6 +7,7 @@ gives each worker.
 
 import copy
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any, TypeVar, Unpack
 
@@ -90,6 +91,8 @@ class AddSuperpoints:
         if faces is not None and not isinstance(sample, Mapping) and faces.ndim == 2:
             given["faces"] = faces.T if faces.shape[1] != 3 or (key == "face" and len(faces) == 3) else faces
         labels = superpoints(points, **given, preset=self.preset, **self.parameters)
+        if "batch" in to and hasattr(sample, "__inc__") and bool((labels < 0).any()):
+            warnings.warn(f"{to}: in a batch, label -1 becomes one of the cloud before; leave it out", stacklevel=2)
         if isinstance(sample, Mapping):
             return type(sample)({**sample, to: labels})  # type: ignore[call-arg]
         changed = copy.copy(sample)
@@ -164,6 +167,5 @@ def _get(sample: Any, name: str) -> Any:
 
 
 def _names(sample: Any) -> str:
-    own = getattr(sample, "__dict__", {})
-    names = sample if isinstance(sample, Mapping) else getattr(sample, "to_dict", lambda: own)()  # torch_geometric's
+    names = sample if isinstance(sample, Mapping) else getattr(sample, "to_dict", lambda: vars(sample))()
     return f"{type(sample).__name__} with {', '.join(map(str, names))}"

@@ -86,6 +86,7 @@ def test_names_in_an_archive_of_ones_own(tmp_path):
         tj.masks.read_masks(tmp_path / "few.npz")
 
 
+@pytest.mark.filterwarnings("ignore:.* have no mask")
 def test_a_coco_file(tmp_path):
     """One of its file names was written on Windows."""
     files = ("left/b.jpg", r"left\a.jpg")
@@ -93,7 +94,8 @@ def test_a_coco_file(tmp_path):
     annotations = [{"id": 7, "image_id": 1, "segmentation": [[0, 0, 4, 0, 4, 6, 0, 6]], "category_id": 1}]
     path = tmp_path / "instances.json"
     path.write_text(json.dumps({"images": images, "annotations": annotations}))
-    masked = tj.masks.read_folder(path, scene_of("a", "b"))
+    with pytest.warns(UserWarning, match=r"instances\.json: 1 images have no mask: leave out"):
+        masked = tj.masks.read_folder(path, scene_of("a", "b"))
     assert [len(frame.masks) for frame in masked.frames] == [1, 0]
     assert masked.frames[0].masks.covered().sum() == 24
     annotations[0]["segmentation"] = [[0, 0]]
@@ -101,18 +103,13 @@ def test_a_coco_file(tmp_path):
     with pytest.raises(ValueError, match=r"instances.json, image 'a': annotations\[0\]'s segmentation"):
         tj.masks.read_folder(path, scene_of("a", "b")).frames[0]
     path.write_text(json.dumps({"images": images, "annotations": [{"image_id": 5}]}))
-    with pytest.raises(
-        ValueError, match=r"instances\.json: expected images with file_name and id, annotations with image_id"
-    ):
+    with pytest.raises(ValueError, match=r"instances\.json: expected images with file_name and id, annotations with"):
         tj.masks.read_folder(path, scene_of("a"))
     path.write_text(json.dumps({"images": [images[1] | {"id": 0}, images[0]], "annotations": []}))
     with pytest.raises(ValueError, match=r"instances\.json: .*: image 0 is there twice"):  # both had the masks of both
         tj.masks.read_folder(path, scene_of("a", "b"))
     path.write_text(json.dumps(annotations))
-    told = (
-        r"instances\.json: expected a COCO data set .*; a list of results is for tj\.masks\.from_coco, image by image"
-    )
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=r"instances\.json: .*; a list of results is for tj\.masks\.from_coco, image"):
         tj.masks.read_folder(path, scene_of("a"))
 
 

@@ -186,14 +186,18 @@ class TestARun:
         made = json.loads((tmp_path / "a.json").read_text())
         assert {one["id"] for one in made["categories"]} == {one["category_id"] for one in made["annotations"]}
 
-    @pytest.mark.parametrize("format", ["cvat", "labelcloud"])
-    def test_boxes_of_what_is_masked_come_back(self, out, run, tmp_path, capsys, format):
-        """What the file had left out counted as deleted, and joined other things."""
-        copy, file = shutil.copytree(out, tmp_path / "out"), tmp_path / "a.json"
-        assert 0 < len(masked_segments(copy)) < tj.load_result(copy).num_point_segments
-        run("export", copy, "--format", format, "-o", file, "--only-masked")
-        run("edits", "import", copy, file)
-        assert "things joined to others: 0" in capsys.readouterr().out
+    def test_boxes_of_what_is_masked_come_back(self, out, run, tmp_path, capsys):
+        """What the file had left out counted as deleted, and joined other things: also beside one box drawn anew."""
+        copy, file, full = shutil.copytree(out, tmp_path / "out"), tmp_path / "a.txt", tmp_path / "b.txt"
+        run("export", copy, "--format", "openpcdet", "-o", file, "--only-masked")
+        run("export", copy, "--format", "openpcdet", "-o", full)
+        drawn, *others = sorted({*full.read_text().splitlines()} - {*file.read_text().splitlines()})
+        for added in ("", f"{drawn}\n"):
+            file.write_text(file.read_text() + added)
+            run("edits", "import", copy, file)
+            told = capsys.readouterr().out
+            assert "things joined to others: 0" in told
+            assert f"had left them out): {len(others) + (not added)}\n" in told
         assert not (copy / "edits.json").exists()
 
     def test_boxes_of_what_is_masked_after_a_correction(self, out, run, tmp_path, capsys):

@@ -50,8 +50,7 @@ def edits(
             raise ValueError(f"{told} {others} points have another label than most of their superpoint")
         kinds = [step.kind for step in steps]
         say(f"things gathered: {kinds.count('gather')}, names changed: {kinds.count('name')}")
-        table = parts.table(before)[parts.of_point]
-        if stayed := len(np.setdiff1d(table, table[labels.of_point > 0])):
+        if stayed := len(np.setdiff1d(table := parts.table(before)[parts.of_point], table[labels.of_point > 0])):
             say(f"things without a labelled point stay (join them in the viewer): {stayed}")
         if others:
             say(f"points that stay with their superpoint, most of which has another label: {others}")
@@ -65,7 +64,7 @@ def edits(
             raise ValueError(f"{told} {len(empty)} of {len(boxes)} boxes are those of no thing")
         say(f"boxes: {len(boxes)}, things joined to others: {joined}, names changed: {named}")
         if stayed:
-            say(f"things whose box was deleted lie in no other box, and stay: {stayed}")
+            say(f"things without a box stay (they lie in no other box, or --only-masked had left them out): {stayed}")
         if empty:
             say(f"boxes of no thing (split in the viewer): {len(empty)}, such as box {empty[0]}")
     if steps:

@@ -87,8 +87,7 @@ def _tell_other_sizes(annotations: Sequence[Mapping[str, Any]], images: Sequence
             told = f"{beyond} of {len(reach)} polygons reach beyond their images: of other sizes, or y before x?"
             warnings.warn(f"{name}: {told}", stacklevel=4)
         elif len(reach) >= 5 and max(reach) <= (0.25 if len(reach) < 20 else 0.5):
-            told = "all polygons lie in one corner of the images: were they drawn in smaller ones?"
-            warnings.warn(f"{name}: {told}", stacklevel=4)
+            warnings.warn(f"{name}: all polygons lie in one corner of the images: of smaller ones?", stacklevel=4)
 
 
 class CocoFile:
@@ -116,6 +115,8 @@ class CocoFile:
         if unknown and self._categories:
             told = f"{path}: no category has the id of some masks, which get no name"
             warnings.warn(f"{told}: {sorted(unknown, key=str)[:9]}", stacklevel=3)
+        if bare := sum(not one for one in self._annotations.values()):
+            warnings.warn(f"{path}: {bare} images have no mask: leave out those that nobody annotated", stacklevel=3)
         _tell_other_sizes(annotations, data["images"], str(path))
 
     @property

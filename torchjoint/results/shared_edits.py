@@ -107,6 +107,8 @@ def _most(group: Table, ids: Table, count: int) -> Table:
 
 #: Smallest IoU, in points, of a box with that of its segment.
 SAME = 0.1
+#: If at least this share of the segments in no mask has no box, `export --only-masked` has left them out.
+LEFT_OUT = 0.75
 #: A segment without a box joins the one in whose box it has more than this share of its points.
 INSIDE = 0.5
 
@@ -118,7 +120,7 @@ class BoxEdits(NamedTuple):
     joined: int  #: segments that have joined others
     named: int  #: segments whose name has changed
     empty: tuple[int, ...]  #: boxes that are those of no segment
-    stayed: int = 0  #: segments whose box was deleted, and which lie in no other
+    stayed: int = 0  #: segments without a box, which lie in no other, or which `export --only-masked` left out
 
 
 def edits_of_boxes(
@@ -137,23 +139,22 @@ def edits_of_boxes(
         boxes: after the edits, in any order.
         superpoint: [N] the superpoint of each point, which does not change with corrections.
         is_text: they are OpenPCDet's, whose names have `_` for spaces.
-        masked: what `export --only-masked` writes; if no other segment has a box, none of the others' was deleted.
+        masked: what `export --only-masked` writes; if few others have a box, it was drawn anew, and none was deleted.
     """
     points, labels = upright_points(result.scene), result.points.numpy()
     own = boxes_of(result)
     inside = _members(boxes, points)
     segment_of = _matches(inside, _members([*own.values()], points), [*own])
-    if masked and {*masked}.issuperset(segment_of.values()):
-        own = {one: box for one, box in own.items() if one in masked}
+    bare, others = own.keys() - segment_of.values(), own.keys() - masked
+    left_out = bare & others if masked and len(bare & others) >= LEFT_OUT * len(others) else set()
     place, known = _places(result, superpoint), np.flatnonzero(labels >= 0)
     of_segment = csr_array((np.ones(len(known), np.int64), (known, labels[known])), shape=(len(points), len(place)))
     shares = ((inside @ of_segment) / np.maximum(of_segment.sum(0), 1)).tocsc()  # [B, S]
     steps: list[Edit] = []
     by_size = sorted(segment_of, key=lambda number: (np.prod(boxes[number].size), number))
-    for segment in sorted(own.keys() - set(segment_of.values())):
+    for segment in sorted(bare - left_out):
         held = shares[:, [segment]].toarray()[:, 0]
-        holder = next((number for number in by_size if held[number] > INSIDE), None)
-        if holder is not None:
+        if (holder := next((number for number in by_size if held[number] > INSIDE), None)) is not None:
             steps.append(Edit("join", (int(place[segment_of[holder]]), int(place[segment]))))
     empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
     called = {one: _told(boxes[number].name) for number, one in segment_of.items()}
@@ -209,11 +210,11 @@ def _count(text: str) -> int:
 
 def edits_of_names(result: Result, names: Mapping[int, str], superpoint: Table, is_text: bool = False) -> Steps:
     """The corrections that give segments their names; arguments as of :func:`edits_of_boxes`."""
-    place, before = _places(result, superpoint), result.segment_names
+    place, before = _places(result, superpoint), {one: name.strip() for one, name in result.segment_names.items()}
     return tuple(
         Edit("name", (int(place[segment]),), name.strip())
         for segment, name in sorted(names.items())
-        if name.strip() not in ("", (_words if is_text else str.strip)(before.get(segment, "")))
+        if name.strip() not in ("", "_".join(before.get(segment, "").split()) if is_text else before.get(segment, ""))
     )
 
 
@@ -233,11 +234,6 @@ def _members(boxes: Sequence[Box], points: npt.NDArray[np.float64]) -> csr_array
 def _told(name: str) -> str:
     """A name as it comes back in a file."""
     return "" if name.strip() == UNNAMED else name.strip()
-
-
-def _words(name: str) -> str:
-    """A name as OpenPCDet's files have it, without spaces."""
-    return "_".join(name.split())
 
 
 def _matches(inside: csr_array, own: csr_array, segments: Sequence[int]) -> dict[int, int]:
