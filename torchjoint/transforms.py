@@ -71,13 +71,12 @@ class AddSuperpoints:
         preset: str | SuperpointsConfig = "default",
         **parameters: Unpack[SuperpointsParameters],
     ) -> None:
-        self.points, self.to = points, to
+        self.points, self.to, self.parameters = points, to, parameters
         self.names = {
             "colors": colors, "normals": normals, "faces": faces, "edges": edges, "ptr": ptr, "viewpoint": viewpoint
         }  # fmt: skip
         self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
         self.config = self.preset.replace(parameters)
-        self.parameters = parameters
 
     def __call__(self, sample: Sample) -> Sample:
         """A shallow copy of the sample with the labels; the copy shares the sample's tensors."""
@@ -167,5 +166,6 @@ def _get(sample: Any, name: str) -> Any:
 
 
 def _names(sample: Any) -> str:
-    names = sample if isinstance(sample, Mapping) else getattr(sample, "to_dict", lambda: vars(sample))()
+    own = getattr(sample, "__dict__", {})
+    names = sample if isinstance(sample, Mapping) else getattr(sample, "to_dict", lambda: own)()  # torch_geometric's
     return f"{type(sample).__name__} with {', '.join(map(str, names))}"

@@ -332,9 +332,9 @@ class TestCommand:
             run("segment", recording, "-o", tmp_path / "other", "--masks", tmp_path / "nothing")
 
     def test_damaged_masks_are_found_before_a_cloud_is_fused(self, tmp_path, run, monkeypatch):
-        monkeypatch.setattr(
-            "torchjoint.recordings.segment.load_scene", lambda *_, **__: pytest.fail("fuses for an hour")
-        )
+        reads = "torchjoint.recordings.segment."
+        monkeypatch.setattr(f"{reads}load_scene", lambda *_, **__: pytest.fail("fuses for an hour"))
+        monkeypatch.setattr(f"{reads}find_format", lambda *_: None)
         (tmp_path / "recording").mkdir()
         for name, content in (("0.png", b"no image"), ("0.png", b"\x89PNG\r\n\x1a\n and no more"), ("0.npz", b"PK")):
             (tmp_path / "masks").mkdir(exist_ok=True)
