@@ -131,14 +131,14 @@ def test_overwrite(recording, run, tmp_path):
 
 def test_what_fails_leaves_no_result(tmp_path):
     def write_and_die():
-        with output_folder(tmp_path / "out", "source") as partial:
+        with output_folder(tmp_path / "out", "source", key="run") as partial:
             (partial / "half").write_text("x")
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         write_and_die()
     assert not (tmp_path / "out").exists()
-    with output_folder(tmp_path / "out", "source") as partial:
+    with output_folder(tmp_path / "out", "source", key="run") as partial:
         assert (partial / "half").exists()  # to be resumed
     shutil.rmtree(tmp_path / "out")
     with pytest.raises(KeyboardInterrupt):
