@@ -1,6 +1,7 @@
 """torchjoint batch: segments any number of recordings over many workers."""
 
 import sys
+from typing import Any
 
 import tyro
 
@@ -38,17 +39,9 @@ def batch(
         threads: threads of one recording; workers on this machine never have more threads than there are cores.
         overwrite: replace earlier results.
     """
-    report = run_batch(
-        scenes,
-        out or "results",
-        engine=engine,
-        threads=threads,
-        config=parameters.config(),
-        options=reading.options(),
-        overwrite=overwrite,
-        progress=sys.stderr.isatty(),
-        allow_import=True,
-    )
+    more: dict[str, Any] = {"engine": engine, "threads": threads, "overwrite": overwrite, "allow_import": True}
+    more |= {"config": parameters.config(), "options": reading.options(), "progress": sys.stderr.isatty()}
+    report = run_batch(scenes, out or "results", **more)
     _print(report)
     if report.failures:
         sys.exit(1)

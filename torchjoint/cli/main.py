@@ -1,6 +1,7 @@
 """The command line."""
 
 import argparse
+import gc
 import io
 import logging
 import os
@@ -90,10 +91,13 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         name, chosen = command.replace("-", "_"), commands[command]
         # Modules that load turn it into other errors, or abort.
         before = signal.signal(signal.SIGINT, lambda *_: before == signal.SIG_IGN or os._exit(STOPPED))
+        gc.disable()  # a search for garbage would walk through all of torch, again and again
         try:
             module = import_module(f"{program.replace('-', '_')}.cli.{chosen.module or name}")
         finally:
             signal.signal(signal.SIGINT, before)
+            gc.freeze()
+            gc.enable()
         _call(getattr(module, name), f"{program} {command}", arguments, chosen.example)
         sys.stdout.flush()  # here, where an error of a closed pipe can still be handled
     except BrokenPipeError as error:  # `torchjoint parameters | head`

@@ -7,7 +7,6 @@ from importlib import import_module
 from threading import Lock
 from typing import Any
 
-import kornia
 import torch
 from torch import Tensor, nn
 
@@ -25,6 +24,8 @@ CONTRAST = 8.0
 
 def to_lab(colors: Tensor) -> Tensor:
     """RGB in [0, 1] -> CIE Lab, [..., 3, H, W] each."""
+    import kornia  # here, because it takes a tenth of a second, and many commands need none
+
     with _exact_products():
         return kornia.color.rgb_to_lab(colors)
 
