@@ -26,7 +26,7 @@ from msgspec import msgpack  # noqa: E402 (packages that viser needs)
 from websockets.sync.client import connect  # noqa: E402
 
 from torchjoint.viewer import app, live  # noqa: E402
-from torchjoint.viewer.server import Page, Turns, _end  # noqa: E402
+from torchjoint.viewer.server import FairLock, Page, _end  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 
@@ -157,17 +157,17 @@ def test_names_go_to_what_was_clicked_before_them(out, tmp_path):
 
 
 def test_a_lock_is_given_in_the_order_of_those_who_ask():
-    turns, came = Turns(), []
+    lock, came = FairLock(), []
 
     def work():
-        with turns, turns:
+        with lock, lock:
             came.append("first")
 
     with ThreadPoolExecutor() as pool:
-        with turns:
+        with lock:
             pool.submit(work)
             time.sleep(0.1)
-        with turns:
+        with lock:
             came.append("second")
     assert came == ["first", "second"]
 

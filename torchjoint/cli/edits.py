@@ -50,7 +50,8 @@ def edits(
             raise ValueError(f"{told} {others} points have another label than most of their superpoint")
         kinds = [step.kind for step in steps]
         say(f"things gathered: {kinds.count('gather')}, names changed: {kinds.count('name')}")
-        if stayed := len(np.setdiff1d(table := parts.table(before)[parts.of_point], table[labels.of_point > 0])):
+        table = parts.table(before)[parts.of_point]
+        if stayed := len(np.setdiff1d(table, table[labels.of_point > 0])):
             say(f"things without a labelled point stay (join them in the viewer): {stayed}")
         if others:
             say(f"points that stay with their superpoint, most of which has another label: {others}")

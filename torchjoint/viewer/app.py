@@ -21,7 +21,7 @@ from torchjoint.viewer.measures import hues_of_keys
 from torchjoint.viewer.model import Bytes, Model, export_selected
 from torchjoint.viewer.painting import RelationLines, painted, point_colors
 from torchjoint.viewer.panel import RESET, Panel
-from torchjoint.viewer.server import Cameras, Eyes, Page, Turns, Viewpoint, add_camera, ray_of, viewpoint
+from torchjoint.viewer.server import Cameras, Eyes, FairLock, Page, Viewpoint, add_camera, ray_of, viewpoint
 from torchjoint.viewer.shown import Shown
 
 
@@ -46,7 +46,7 @@ class Viewer:
         self._saved = self._shown.edits(result, granularity)  # the corrections as they were read or saved last
         self.model = Model(result, self._saved, up_direction(result.scene).numpy())
         self._typed = ""  # the last name that came from a page
-        self._lock = Turns()  # viser calls the functions below on several threads
+        self._lock = FairLock()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
         self._made = self._saved.steps  # the corrections after the last action
         self.page = page or Page()

@@ -187,8 +187,8 @@ class Eyes:
             client.camera.near = self._near
 
 
-class Turns:
-    """A lock that threads get in the order in which they asked for it; the one that has it may ask again.
+class FairLock:
+    """A reentrant lock that threads get in the order in which they asked for it.
 
     Others get a lock in any order: what was typed while an action worked went to what was clicked before or after it.
     """

@@ -154,9 +154,10 @@ def fingerprint(path: Path, without: Iterable[Path] = (), *, changed: bool = Fal
     folder = path if has_folder(path) else path.parent
     left_out = {os.path.abspath(one) for one in without}
     is_scan = folder != path and path.suffix.lower() in (".bin", ".pcd", ".png")
-    beside = (path, *folder.parent.glob(f"*/{path.stem}.*")) if is_scan else ()  # a folder is OUT.partial
+    # A folder of this stem is OUT.partial of a run beside the scan.
+    beside = (path, *(one for one in folder.parent.glob(f"*/{path.stem}.*") if not one.is_dir())) if is_scan else ()
     near = () if is_scan else {*files_below(folder, left_out), *_around(folder, left_out)}
-    stats = [(str(file), *_size_and_time(file, changed)) for file in sorted({*near, *beside}) if not file.is_dir()]
+    stats = [(str(file), *_size_and_time(file, changed)) for file in sorted({*near, *beside})]
     return hashlib.sha256(repr((str(path.resolve()), stats)).encode()).hexdigest()
 
 
