@@ -110,6 +110,9 @@ class JointSegmenter(nn.Module):
     do not depend on the order of the frames or on the number of threads. :meth:`merge` merges segmenters that saw
     different frames of one cloud.
 
+    ``state_dict()`` has only parameters of your own networks. To keep the evidence, save the segmenter itself, with
+    ``torch.save`` or pickle.
+
     Args:
         config: parameters; default ``Config()``.
         method: the method of step 6; default: the one that the config names

@@ -263,6 +263,14 @@ def test_images_of_scannetpp_without_poses(name, file, sample, tmp_path):
         tj.load_scene(path)
 
 
+def test_two_poses_of_one_image_of_scannetpp(sample):
+    path = sample("scannetpp")
+    images = path / "dslr" / "colmap" / "images.txt"
+    images.write_text(images.read_text().replace("DSC01.JPG", "other/DSC00.JPG"))
+    with pytest.raises(ValueError, match=r"frames: image '.*DSC00\.JPG' is there twice"):
+        tj.load_scene(path)
+
+
 @pytest.mark.parametrize("name", ["scannetpp", "scannetpp_iphone"])
 def test_lost_images_of_scannetpp(name, sample):
     path = sample(name)

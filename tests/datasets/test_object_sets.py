@@ -39,6 +39,12 @@ class TestBop:
         (path / "scene_camera.json").write_text(json.dumps({"1": cameras["1"]}))
         assert torch.equal(tj.load_scene(path).frames[0].world_to_camera, torch.eye(4, dtype=torch.float64))
 
+    def test_two_images_of_a_number(self, tmp_path):
+        path, _ = load("bop", tmp_path)
+        shutil.copy(path / "rgb" / "000036.png", path / "rgb" / "000036.jpg")
+        with pytest.raises(ValueError, match="the colour image of frame '000036' is there twice"):
+            tj.load_scene(path)
+
     def test_the_scenes_of_a_split(self, tmp_path):
         path, _ = load("bop", tmp_path)
         assert tj.datasets.list_scenes(path.parent) == {"000048": path}

@@ -101,6 +101,9 @@ def test_uncorrected_frames_are_read_where_none_is_corrected(tmp_path):
     path = samples.write("polycam", tmp_path / "a")
     assert [frame.name for frame in tj.load_scene(path).frames] == ["9999999", "10000000"]
     shutil.rmtree(path / "keyframes" / "corrected_cameras")
+    with pytest.warns(UserWarning, match=r"corrected_images: not read without .* the poses of cameras/ drift"):
+        tj.load_scene(path)
+    shutil.rmtree(path / "keyframes" / "corrected_images")
     assert [frame.name for frame in tj.load_scene(path).frames] == ["9999999", "10000000", "10000001"]
 
 

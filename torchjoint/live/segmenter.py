@@ -166,7 +166,8 @@ class LiveSegmenter(nn.Module):
     """Segments what posed depth frames have shown so far.
 
     A result is that of a :class:`JointSegmenter` with the cloud that is fused so far and the keyframes, to the bit. One
-    thread may call :meth:`update` while another one calls :meth:`result`.
+    thread may call :meth:`update` while another one calls :meth:`result`. What it saw is kept by :meth:`save`, not by
+    ``state_dict()``, which has only parameters of your own networks.
 
     Args:
         config: parameters; default ``Config()``. The method of step 6 is learned.

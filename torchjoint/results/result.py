@@ -171,7 +171,8 @@ class Result(Segmentation):
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:
         """Writes a folder as ``torchjoint segment`` does, for the other commands and :func:`torchjoint.load_result`.
 
-        Vectors and names are written, too, but no names of segments without points, and no points without a label.
+        Vectors and names are written, too, but no names of segments without points, and no points without a label. The
+        folder does not know the file of the cloud: `torchjoint label` puts the labels into a survey with its fields.
 
         Args:
             folder: becomes the result, as a whole; an error leaves nothing there.

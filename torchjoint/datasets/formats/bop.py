@@ -20,7 +20,7 @@ from torch import Tensor
 from torchjoint.datasets.cameras import Camera, checked_pose, invert_pose
 from torchjoint.datasets.files.readers import of_size, read_image_size, read_label_image
 from torchjoint.datasets.files.text import Record, read_record
-from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_unlisted
+from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, sorted_images, tell_unlisted
 from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.runtime.threads import LazySequence
 from torchjoint.scene import Scene
@@ -28,6 +28,7 @@ from torchjoint.scene import Scene
 WHAT = "scene_camera.json with rgb/ or gray/ (BOP)"
 #: Largest distance between the positions of one object according to two images, metres.
 SAME_PLACE = 0.05
+SUFFIXES = (".png", ".jpg", ".tif")
 
 
 def recognizes(path: Path) -> bool:
@@ -44,14 +45,17 @@ def _read_shots(path: Path) -> list[Shot]:
     numbers = sorted(int(key) for key in cameras.values if key.isascii() and key.isdigit() and len(key) < 10)
     if not numbers:
         raise ValueError(f"{cameras.name}: expected an entry for each image, got none")
-    shots = [_read_shot(path, number, cameras.record(str(number)), len(numbers) == 1) for number in numbers]
-    tell_unlisted(str(path), [shot.color for shot in shots if isinstance(shot.color, Path)])
+    folder = path / ("rgb" if has_folder(path / "rgb") else "gray")
+    files = sorted_images(folder, (one for one in folder.glob("*") if one.suffix in SUFFIXES))
+    named = {f"{number:06d}": cameras.record(str(number)) for number in numbers}
+    images = {name: folder / f"{name}.png" for name in named} | {file.stem: file for file in files}
+    shots = [_read_shot(images[name], camera, len(named) == 1) for name, camera in named.items()]
+    tell_unlisted(str(path), [images[name] for name in named])
     return shots
 
 
-def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> Shot:
-    files = [path / kind / f"{number:06d}{suffix}" for kind in ("rgb", "gray") for suffix in (".png", ".jpg", ".tif")]
-    image = present(next(filter(has_file, files), files[0]), f"the image of {camera.name}")
+def _read_shot(image: Path, camera: Record, is_alone: bool) -> Shot:
+    present(image, f"the image of {camera.name}")
     pose = torch.eye(4, dtype=torch.float64)
     if "cam_R_w2c" in camera:
         pose = _pose(camera, "cam_R_w2c", "cam_t_w2c")
@@ -61,7 +65,7 @@ def _read_shot(path: Path, number: int, camera: Record, is_alone: bool) -> Shot:
     if not 1e-3 <= scale <= 1e3:
         raise ValueError(f"{camera.name}: depth_scale: expected millimetres per step, 0.001 to 1000, got {scale}")
     lens = Camera(camera.numbers("cam_K", 9).view(3, 3), name=f"{camera.name}: cam_K")
-    return Shot(image, lens, pose, image.stem, path / "depth" / f"{number:06d}.png", scale / 1000)
+    return Shot(image, lens, pose, image.stem, image.parents[1] / "depth" / f"{image.stem}.png", scale / 1000)
 
 
 def _pose(record: Record, rotation: str, translation: str) -> Tensor:

@@ -72,7 +72,6 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     shots = sorted((_shot(file, frame) for frame in frames), key=lambda pair: pair[0])
     if not shots:
         raise ValueError(f"{file}: frames: expected at least one, got none")
-    no_twice((str(color) for color, _ in shots), f"{file}: frames: image")
     depths = [frame.text("depth_file_path") for frame in frames if "depth_file_path" in frame]
     no_twice(depths, f"{file}: frames: depth image")
     tell_unlisted(str(file), [color for color, _ in shots])

@@ -20,11 +20,11 @@ from pathlib import Path
 from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, rotations_about
-from torchjoint.datasets.files.clouds import read_scan
+from torchjoint.datasets.files.clouds import COLUMNS, read_scan
 from torchjoint.datasets.files.text import Record, numbers_of, path_inside, read_record
 from torchjoint.datasets.recording import Options, Shot, read_shots
 from torchjoint.datasets.truth import instances_in_boxes
-from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice, present
+from torchjoint.runtime.foreign_files import has_file, has_folder, present
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_pose
 
@@ -39,13 +39,12 @@ def load(path: Path, options: Options) -> Scene:
     sample = read_record(path / "sample.json", "a sample of nuScenes")
     lidar = sample.record("lidar")
     columns = lidar.number("num_pts_feats")
-    if columns not in range(3, 65):
-        raise ValueError(f"{lidar.name}: num_pts_feats: expected 3 to 64, got {columns:g}")
+    if columns not in COLUMNS:
+        raise ValueError(f"{lidar.name}: num_pts_feats: expected 3 to 7, got {columns:g}")
     file = path_inside(path, lidar.text("lidar_path"), lidar.name)
     points = read_scan(file, int(columns), options.invalid, plausible=True)[:, :3]
     cameras = sample.record("cameras")
     shots = [_shot(path, cameras.record(name), name) for name in cameras.values]
-    no_twice((str(shot.color) for shot in shots), f"{cameras.name}: image")
     frames = read_shots(shots)
     truth = Truth(_instances(sample.records("instances"), points)) if "instances" in sample else None
     return Scene(points, frames, name=path.name, truth=truth)

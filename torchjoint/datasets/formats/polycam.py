@@ -11,6 +11,7 @@ The cloud is `cloud.ply`, or fused from depth: raw.glb is in other axes, and is 
 layout is that of Polycam's own reader, github.com/PolyCam/polyform (README.md, core/capture_folder.py).
 """
 
+import warnings
 from functools import partial
 from pathlib import Path
 
@@ -34,8 +35,11 @@ def recognizes(path: Path) -> bool:
 def load(path: Path, options: Options) -> Scene:
     folder = path / "keyframes"
     # Corrected and other poses differ by a drift, so that a scene never has both.
-    corrected = all(has_folder(folder / f"corrected_{kind}") for kind in ("images", "cameras"))
-    images, cameras = (folder / f"{'corrected_' if corrected else ''}{kind}" for kind in ("images", "cameras"))
+    corrected = [one for kind in ("images", "cameras") if has_folder(one := folder / f"corrected_{kind}")]
+    if len(corrected) == 1:
+        told = "not read without corrected_images/ and corrected_cameras/; the poses of cameras/ drift"
+        warnings.warn(f"{corrected[0]}: {told}", stacklevel=3)
+    images, cameras = corrected if len(corrected) == 2 else (folder / "images", folder / "cameras")
     files = sorted_images(images, images.glob("*.jpg"))
     if not files:
         raise ValueError(f"{images}: expected images, .jpg, got none")
