@@ -216,7 +216,8 @@ def _without_number(file: Path) -> str:
 
 
 def read_shots(shots: Sequence[Shot]) -> Frames:
-    """Returns the frames in the order of the shots; each is read on access. Two of one image are an error."""
+    """Returns the frames in the order of the shots; each is read on access. Two of one name or image are an error."""
     no_twice((str(shot.color) for shot in shots if isinstance(shot.color, Path)), "frames: image")
     names = [shot.name for shot in shots]
+    no_twice(map(str.lower, names), "the colour image of frame")
     return Frames(len(shots), lambda index: shots[index].read(), names, lambda index: shots[index].has_depth())

@@ -258,7 +258,7 @@ class TestStream:
         second = [i for i in range(len(data)) if data[i : i + 3] == b"\xff\xd8\xff"][1]
         file.write_bytes(data[:second] + b"nojpeg" + data[second + 6 :])
         stream = SensFile(file)
-        assert len(stream) == 3
+        assert len(stream.poses) == 3
         assert stream.color(2).shape == (3, 6, 8)
         assert stream.depth(1).unique().tolist() == [pytest.approx(1.501)]
         with pytest.raises(ValueError, match=r"s\.sens, colour of frame 1: not a whole image"):

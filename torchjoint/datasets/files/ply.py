@@ -7,7 +7,7 @@ are added to a file of others as bytes: properties without a meaning for this pa
 import io
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,11 +60,9 @@ class Element(NamedTuple):
         """The NumPy type of a row whose lists have these `lengths`; field `#NAME` is the length of list NAME."""
         fields: list[Any] = []
         for one in self.properties:
-            if one.length is None:
-                fields.append((one.name, byte_order + one.kind))
-            else:
+            if one.length is not None:
                 fields.append((f"#{one.name}", byte_order + one.length))
-                fields.append((one.name, byte_order + one.kind, (lengths[one.name],)))
+            fields.append((one.name, byte_order + one.kind, () if one.length is None else (lengths[one.name],)))
         return np.dtype(fields)
 
 
@@ -213,7 +211,9 @@ def _read_elements(path: Path) -> dict[str, Columns]:
         header = parse_header(data)
         if unit := NO_METRE.search(data, 0, header.size):
             warnings.warn(f"{path}: {unit[1].decode('ascii', 'replace')}: taken as metres", stacklevel=5)
-        return _ascii_elements(data, header) if header.encoding == "ascii" else _binary_elements(data, header)
+        if header.encoding == "ascii":
+            return {element.name: _ascii_rows(text, element) for element, text in _texts(data, header)}
+        return _binary_elements(data, header)
 
 
 def parse_header(data: bytes) -> Header:
@@ -332,20 +332,20 @@ def _check_rest(data: bytes, place: int, size: int, element: Element) -> None:
         raise ValueError(f"{told}, got {max(0, len(data) - place)}")
 
 
-def _ascii_elements(data: bytes, header: Header) -> dict[str, Columns]:
-    ends = np.flatnonzero(np.frombuffer(data.rstrip(), np.uint8)[header.size :] == ord("\n")) + header.size + 1
+def _texts(data: bytes, header: Header) -> Iterator[tuple[Element, bytes]]:
+    """The lines of each element of an ascii file, one a row; behind the last row there may be blank ones."""
+    body = data[header.size :]
+    ends = np.flatnonzero(np.frombuffer(body.rstrip(), np.uint8) == ord("\n")) + 1
     full = [element for element in header.elements if element.properties]
-    lines, expected = len(ends) + bool(data[header.size :].strip()), sum(element.rows for element in full)
+    lines, expected = len(ends) + bool(body.strip()), sum(element.rows for element in full)
     if lines != expected:
         counts = ", ".join(f"{element.rows} of {element.name}" for element in header.elements)
         raise ValueError(f"truncated, or too long: expected {expected} lines ({counts}), got {lines}")
     if expected and not data.endswith(b"\n"):
         raise ValueError("truncated: expected a line break after the last number, which may be cut off")
-    starts, row, elements = [header.size, *ends.tolist(), len(data)], 0, {}
+    starts, row = [0, *ends.tolist(), len(body)], 0
     for element in full:
-        elements[element.name] = _ascii_rows(data[starts[row] : starts[row + element.rows]], element)
-        row += element.rows
-    return elements
+        yield element, body[starts[row] : starts[row := row + element.rows]]
 
 
 def _ascii_rows(text: bytes, element: Element) -> Columns:
@@ -464,32 +464,27 @@ def _records_of_bytes(data: bytes, header: Header) -> tuple[dict[str, Array], by
         if not element.properties:
             continue
         rows = _rows_of_one_length(data, place, element, header.byte_order, dict.fromkeys(element.lists, 3))
-        if rows is None and not element.lists:
+        if rows is not None:
+            records[element.name] = np.frombuffer(data, np.uint8, rows.nbytes, place).reshape(-1, rows.itemsize)
+            place += rows.nbytes
+        elif not element.lists:
             raise ValueError(f"truncated: element {element.name} has fewer than {element.rows} rows")
-        if rows is None and "vertex" in records:
+        elif "vertex" in records:
             break
-        if rows is None:
+        else:
             end = _rows_of_several_lengths(data, place, element, header.byte_order)[1]
             records[f"#{element.name}"], place = np.frombuffer(data, np.uint8, end - place, place)[None], end
-            continue
-        records[element.name] = np.frombuffer(data, np.uint8, rows.nbytes, place).reshape(-1, rows.itemsize)
-        place += rows.nbytes
     return records, data[place:]
 
 
 def _records_of_lines(data: bytes, header: Header) -> tuple[dict[str, Array], bytes]:
-    lines, rest = data[header.size :].splitlines(keepends=True), b""
-    while lines and not lines[-1].strip():
-        rest = lines.pop() + rest
-    full = [element for element in header.elements if element.properties]
-    if len(lines) != (expected := sum(element.rows for element in full)):
-        raise ValueError(f"expected {expected} lines after the header, one a row, got {len(lines)}")
-    records, following = {}, iter(lines)
-    for element in full:
-        rows = [next(following) for _ in range(element.rows)]
-        columns = _ascii_rows(b"".join(rows), element) if element.name == "face" else {}
+    records, rest = {}, b""
+    for element, text in _texts(data, header):
+        columns = _ascii_rows(text, element) if element.name == "face" else {}
         mixed = any(isinstance(v, Lists) and (v.lengths != 3).any() for k, v in columns.items() if k in _FACE_LISTS)
-        records["#" * mixed + element.name] = np.array(rows, object)
+        lines = io.BytesIO(text).readlines()
+        records["#" * mixed + element.name] = np.array(lines[: element.rows], object)
+        rest = b"".join(lines[element.rows :])
     return records, rest
 
 

@@ -20,7 +20,7 @@ from torchjoint.datasets import recording
 from torchjoint.datasets.cameras import Camera, world_to_camera
 from torchjoint.datasets.files.readers import read_array, read_matrix
 from torchjoint.datasets.truth import label_images
-from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.scene import Scene, Truth
 from torchjoint.scene.checks import as_labels
 
@@ -42,7 +42,7 @@ def load(path: Path, options: recording.Options) -> Scene:
 def read_frames(path: Path) -> recording.Frames:
     """Returns the frames of a folder; each frame is read on access."""
     images = recording.sorted_images(path, _files(path))
-    no_twice(found := [_stem(one).lower() for one in images], f"{path}: the colour image of frame")
+    found = [_stem(one).lower() for one in images]
     recording.tell_lost(str(path), (_stem(one).lower() for one in _files(path, r"pose\.txt")), found)
     # Reads all poses at once: a bad pose must be found before hours of work, not after. A lost one may be NaN or -inf.
     files = {color: file for color in images if has_file(file := _beside(color, ".pose.txt"))}
@@ -54,12 +54,12 @@ def read_frames(path: Path) -> recording.Frames:
     recording.tell_left_out(f"{path}: {', '.join(lost[:9])}", len(lost), len(found))
     file = recording.without_case(path / "camera-intrinsics.txt")
     camera = Camera(read_matrix(file, (3, 3)), name=str(file))
-    without = [color for color in poses if not has_file(_beside(color, ".labels.png"))]
-    if len(without) == len(poses):
+    beside = [[_beside(color, f".{what}.png") for what in ("depth", "labels")] for color in poses]
+    without = sum(not has_file(labels) for _, labels in beside)
+    if without == len(poses):
         recording.tell_not_read(path, "label", "an image of labels")
     elif without:
-        warnings.warn(f"labels: {len(without)} of {len(poses)} frames have no .labels.png", stacklevel=4)
-    beside = [[_beside(color, f".{what}.png") for what in ("depth", "labels")] for color in poses]
+        warnings.warn(f"labels: {without} of {len(poses)} frames have no .labels.png", stacklevel=4)
     shots = [
         recording.Shot(color, camera, pose, _stem(color), depth, labels=labels, first=next(iter(poses)))
         for (color, pose), (depth, labels) in zip(poses.items(), beside, strict=True)

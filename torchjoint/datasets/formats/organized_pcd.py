@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchjoint.datasets.files.columns import CloudFile, repaired
+from torchjoint.datasets.files.columns import repaired
 from torchjoint.datasets.files.pcd import Pcd, read_pcd, read_pcd_header
 from torchjoint.datasets.formats import cloud_alone
 from torchjoint.datasets.recording import Options
@@ -51,7 +51,8 @@ def scenes(path: Path) -> dict[str, Path]:
 
 def load(path: Path, options: Options) -> Scene:
     cloud = read_pcd(path)
-    points, colors, normals, *_ = cloud.cloud(str(path))
+    found = cloud.cloud(str(path))
+    points, colors = found.points, found.colors
     if colors is None:
         raise ValueError(f"{path}: expected a field rgb or rgba of 4 bytes")
     known = torch.isfinite(points).all(dim=1) & (points[:, 2] > 0)
@@ -67,7 +68,7 @@ def load(path: Path, options: Options) -> Scene:
     )
     instances = _instances(path, cloud, known)
     truth = None if instances is None else Truth(instances[known], (instances.view(size),))
-    seen = repaired(CloudFile(points[known], colors[known], None if normals is None else normals[known]), str(path))
+    seen = repaired(found.chosen(known), str(path))
     return Scene(seen.points, (frame,), seen.colors, seen.normals, name=path.stem, truth=truth)
 
 

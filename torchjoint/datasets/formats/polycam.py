@@ -37,8 +37,7 @@ def load(path: Path, options: Options) -> Scene:
     # Corrected and other poses differ by a drift, so that a scene never has both.
     corrected = [one for kind in ("images", "cameras") if has_folder(one := folder / f"corrected_{kind}")]
     if len(corrected) == 1:
-        told = "not read without corrected_images/ and corrected_cameras/; the poses of cameras/ drift"
-        warnings.warn(f"{corrected[0]}: {told}", stacklevel=3)
+        warnings.warn(f"{corrected[0]}: not read without its other half; the poses of cameras/ drift", stacklevel=3)
     images, cameras = corrected if len(corrected) == 2 else (folder / "images", folder / "cameras")
     files = sorted_images(images, images.glob("*.jpg"))
     if not files:

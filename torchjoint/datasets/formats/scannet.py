@@ -94,7 +94,7 @@ def _read_frames(folder: Path, scan: str, file: Path) -> recording.Frames:
             Calibration(stream.depth_intrinsics, (stream.depth_size,)),
         )
         poses = [(f"{stream.path}, pose of frame {i}", pose) for i, pose in enumerate(stream.poses)]
-        names = [str(i) for i in range(len(stream))]
+        names = [str(i) for i in range(len(stream.poses))]
         return _frames(stream.path, names, poses, cameras, lambda i: (stream.color(i), stream.depth(i)), lambda _: True)
     if not has_frames(folder):
         if has_folder(folder / "color"):
@@ -272,9 +272,6 @@ class SensFile:
             self._read_header(file)
             self._images, poses = _index(file)
         self.poses = torch.from_numpy(np.array(poses, dtype=np.float64).reshape(-1, 4, 4))
-
-    def __len__(self) -> int:
-        return len(self._images)
 
     def color(self, index: int) -> Tensor:
         """Decodes a frame's colours, [3, H, W] uint8 RGB, at the image's own size. ValueError if damaged."""

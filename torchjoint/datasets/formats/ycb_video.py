@@ -18,7 +18,7 @@ from torchjoint.datasets.cameras import Camera, world_to_camera
 from torchjoint.datasets.files.mat_files import read_matrices
 from torchjoint.datasets.recording import Options, Shot, read_shots, scene_of_frames, tell_lost
 from torchjoint.datasets.truth import label_images
-from torchjoint.runtime.foreign_files import has_file, has_folder, no_twice
+from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.scene import Scene
 
 WHAT = "NNNNNN-color.jpg (or .png) with NNNNNN-meta.mat (YCB-Video)"
@@ -32,7 +32,6 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     colors = _colors(path)
-    no_twice(map(_name, colors), f"{path}: the colour image of frame")
     tell_lost(str(path), map(_name, path.glob("*-meta.mat")), [_name(file) for file in colors])
     images = label_images([_beside(file, "label.png") for file in colors], "labels", colors)
     return scene_of_frames(path, read_shots([_shot(file) for file in colors]), options, images=images)
