@@ -86,7 +86,7 @@ def with_column(path: Path, name: str, values: Sequence[int], out: Path | None =
     if names is not None:
         if name in names:
             raise ValueError(f"{path}: expected no column {name}, got one; choose another --name")
-        place = max(at for at, line in enumerate(head) if all(one in line.decode("utf-8", "replace") for one in names))
+        place = max(at for at, line in enumerate(head) if _preamble(line, str(path))[2] == names)
         titles = head[place]
         head[place] = titles.rstrip().removesuffix(mark) + (mark if mark in titles else b" ") + name.encode()
     return b"\n".join([*head, *rows, b""])
