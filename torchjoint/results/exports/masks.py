@@ -169,5 +169,6 @@ def export_openmask3d(folder: Path, result: Result) -> None:
     folder.mkdir(parents=True)
     name = scene_name(result)
     segments = _segments(result)
-    torch.save(result.points[:, None] == segments, folder / f"{name}_masks.pt")
+    with (folder / f"{name}_masks.pt").open("wb") as stream:  # torch does not say that a disk is full
+        torch.save(result.points[:, None] == segments, stream)
     np.save(folder / f"{name}_openmask3d_features.npy", result.embeddings.vectors[segments].numpy())
