@@ -5,6 +5,7 @@ here ships the weights of a larger one, so a slow test trains a small network on
 """
 
 import json
+import resource
 
 import numpy as np
 import pytest
@@ -144,6 +145,13 @@ def test_the_layout_of_openmask3d(run, saved, tmp_path):
     assert torch.equal(masks.int().argmax(1), column)
     assert masks.sum(1).eq(1).all()
     np.testing.assert_array_equal(np.load(features), read.embeddings.vectors[ids])
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000, limits[1]))  # for a full disk
+    try:
+        with pytest.raises(SystemExit, match="full: File too large"):
+            run("export", saved, "--format", "openmask3d", "-o", tmp_path / "full")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     (saved / "embeddings.npz").unlink()
     with pytest.raises(SystemExit, match="openmask3d: expected saved embeddings, got none"):
         run("export", saved, "--format", "openmask3d", "-o", tmp_path / "other")

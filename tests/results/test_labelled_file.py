@@ -308,6 +308,7 @@ def test_a_file_with_nothing_within_reach_is_an_error():
     [
         ("x;y;z;n\r\n0,5;0;0;7\r\n1;0;0;\r\n\r\n2;0;0;8\r\n", "x;y;z;n;thing\n0,5;0;0;7;0\n1;0;0;;1\n\n2;0;0;8;2\n"),
         ("# by hand\n0.5\t0\t0\n1\t0\t0 # edge\nnan\t0\t0\n", "# by hand\n0.5\t0\t0\t0\n1\t0\t0\t1\nnan\t0\t0\t-1\n"),
+        ("x,y,z\n# lazy xyz\n1,0,0\n2,0,0\n", "x,y,z,thing\n# lazy xyz\n1,0,0,1\n2,0,0,2\n"),
         ("2\n1 0 0 5 9 9 9\n2 0 0 5 9 9 9", "2\n1 0 0 5 9 9 9 1\n2 0 0 5 9 9 9 2\n"),
     ],
 )
@@ -450,6 +451,24 @@ class TestSurvey:
         made = laspy.read(tmp_path / "out.laz")
         assert np.array_equal(made["confidence"], own)
         assert np.allclose(made["label_confidence"], loaded.point_confidence.numpy())
+
+    @pytest.mark.parametrize("suffix", [".las", ".laz"])
+    def test_what_a_survey_says_of_its_dimensions_stays(self, tmp_path, suffix):
+        """Its values for "none" and its ranges; of new dimensions, whose range laspy tells wrongly, there is none."""
+        cloud = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+        cloud.xyz = np.eye(3)
+        cloud.add_extra_dim(laspy.ExtraBytesParams("height", "f8", "of ground", no_data=[-9999.0]))
+        cloud["height"] = [1.5, -9999, 3]
+        cloud.write(tmp_path / "a.las")
+        write_labelled(tmp_path / "a.las", tmp_path / f"b{suffix}", {"label": np.int32([5, 7, 2])})
+        before, after = (
+            laspy.read(one).vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs
+            for one in (tmp_path / "a.las", tmp_path / f"b{suffix}")
+        )
+        assert before[0].no_data == -9999
+        assert bytes(after[0]) == bytes(before[0])
+        assert (after[1].min, after[1].max, after[1].no_data) == (None, None, None)
+        assert laspy.read(tmp_path / f"b{suffix}")["label"].tolist() == [5, 7, 2]
 
     def test_early_versions_and_undocumented_bytes(self, tmp_path):
         """laspy writes no LAS 1.0, and cannot read again what it writes for 8 bytes and more."""

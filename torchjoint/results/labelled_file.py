@@ -114,9 +114,21 @@ def _header(laspy: Any, given: Any, columns: Mapping[str, npt.NDArray[Any]]) -> 
     header.evlrs = None
     if header.version.minor == 0:  # laspy writes from 1.1 on
         header.version = laspy.header.Version(1, 2)
-    for name, values in columns.items():
-        header.add_extra_dim(laspy.ExtraBytesParams(name, values.dtype, ORIGIN))
+    add_dimensions(laspy, header, columns, b"".join(one.record_data_bytes() for one in given.vlrs.get("ExtraBytesVlr")))
     return header
+
+
+def add_dimensions(laspy: Any, header: Any, columns: Mapping[str, npt.NDArray[Any]], known: bytes = b"") -> None:
+    """Adds dimensions to a header, whose record of them begins with `known`, and which laspy does not change then.
+
+    laspy forgets which value stands for none, and takes the value of the first point for the least and largest.
+    """
+    header.add_extra_dims([laspy.ExtraBytesParams(name, one.dtype, ORIGIN) for name, one in columns.items()])
+    (record,) = header.vlrs.extract("ExtraBytesVlr")
+    for one in record.extra_bytes_structs[len(known) // 192 :]:
+        data = bytes(one)  # 4: marks of what is given, or the number of undocumented bytes; 64 to 112: the range
+        known += data if not one.data_type else data[:3] + bytes(1) + data[4:64] + bytes(48) + data[112:]
+    header.vlrs.append(laspy.VLR("LASF_Spec", record.official_record_ids()[0], record.description, known))
 
 
 #: If half of the vertices are farther from the result than this share of its diagonal, the file is of another place.

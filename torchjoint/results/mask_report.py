@@ -85,8 +85,7 @@ def compare_masks(masks: Masks, labels: Tensor, num_segments: int) -> MaskMatche
         best = int(iou.argmax())
         known, name = masks.ids[mask] if masks.ids else mask, masks.names[mask] if masks.names else ""
         score, shared = round(float(masks.scores[mask]), 4), round(float(iou[best]), 4)
-        record = {"id": known, "name": name, "score": score, "segment": best - 1, "iou": shared, "pixels": area}
-        records.append(record)
+        records.append({"id": known, "name": name, "score": score, "segment": best - 1, "iou": shared, "pixels": area})
     return MaskMatches(records, pixels[1 : num_segments + 1], covered[1 : num_segments + 1])
 
 

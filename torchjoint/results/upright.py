@@ -65,8 +65,7 @@ def _of_poses(scene: Scene) -> tuple[Tensor, float]:
 
 def _rotations(scene: Scene, most: int) -> Tensor:
     """The rotations [F, 3, 3] of at most so many frames, evenly selected, F >= 1."""
-    count = min(most, len(scene.frames))
-    chosen = torch.linspace(0, len(scene.frames) - 1, count, dtype=torch.float32).long().tolist()
+    chosen = torch.linspace(0, len(scene.frames) - 1, min(most, len(scene.frames)), dtype=torch.float32).long().tolist()
     return torch.stack([scene.frames[i].world_to_camera[:3, :3] for i in chosen])
 
 

@@ -111,6 +111,7 @@ def test_normals_without_a_negative_one_are_no_colours(tmp_path, suffix):
         ("x y z r g b\n" + text(RGB[:, :1], XYZ, RGB), "6 names of columns, x, y, z, r, g, b, but 7 numbers a row"),
         ("# nothing\n", "expected a row of x y z for each point, got no rows"),
         ("x,y,z,x\n1,2,3,4\n", "column 'x' is there twice"),
+        ("# by hand\nid x y z\n" + "1 0 0 0 9\n" * 9, "4 names of columns, id, x, y, z, but 5 numbers a row"),
         ("z,y,x,label\n1,2,3\n", "4 names of columns, z, y, x, label, but 3 numbers a row"),
         ("1 2\n3 4\n", r"expected a row of x y z for each point, got shape \[2, 2\]"),
     ],

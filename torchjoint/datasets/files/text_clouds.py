@@ -54,7 +54,8 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         if names is not None and len(names) == rows.shape[1]:
             no_twice((name for name in names if not NOT_READ.fullmatch(plain(name))), "column")
             return cloud_of(dict(zip(names, rows.T, strict=True)), str(path))
-        if names is not None and not data.startswith((b"#", b"//")):  # a comment may only mention x, y and z
+        # A comment may only mention x, y and z.
+        if names is not None and re.search(rb"(?m)^(?![ \t]*(#|//)).*[a-zA-Z]", data[:start]):
             some = ", ".join(names)[:80]
             raise ValueError(f"{len(names)} names of columns, {some}, but {rows.shape[1]} numbers a row; name all")
         return cloud_of_rows(rows, str(path), count is not None or path.suffix.lower() == ".pts")
@@ -86,7 +87,7 @@ def with_column(path: Path, name: str, values: Sequence[int], out: Path | None =
     if names is not None:
         if name in names:
             raise ValueError(f"{path}: expected no column {name}, got one; choose another --name")
-        place = max(at for at, line in enumerate(head) if all(one in line.decode("utf-8", "replace") for one in names))
+        place = max(at for at, line in enumerate(head) if _preamble(line, str(path))[2] == names)
         titles = head[place]
         head[place] = titles.rstrip().removesuffix(mark) + (mark if mark in titles else b" ") + name.encode()
     return b"\n".join([*head, *rows, b""])

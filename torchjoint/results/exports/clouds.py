@@ -7,7 +7,7 @@ import numpy as np
 
 from torchjoint.datasets.files.las import check_no_copc, laz_backend
 from torchjoint.datasets.files.ply import write_cloud
-from torchjoint.results.labelled_file import file_stem
+from torchjoint.results.labelled_file import add_dimensions, file_stem
 from torchjoint.results.result import Result
 from torchjoint.runtime.archives import write_archive
 from torchjoint.runtime.files import atomic_write, frame_files
@@ -41,16 +41,15 @@ def export_las(path: Path, result: Result) -> None:
     if scale > 1e-4:
         warnings.warn(f"coordinates are rounded to {scale:g} m: LAS has no finer ones for such clouds", stacklevel=2)
     header.offsets, header.scales = np.floor(points.min(0)), np.full(3, scale)
-    header.add_extra_dim(laspy.ExtraBytesParams("label", np.int32))
-    sure = result.point_confidence
-    if sure is not None:
-        header.add_extra_dim(laspy.ExtraBytesParams("confidence", np.float32))
+    columns = {"label": result.points.numpy().astype(np.int32)}
+    if (sure := result.point_confidence) is not None:
+        columns["confidence"] = sure.numpy().astype(np.float32)
+    add_dimensions(laspy, header, columns)
     header.creation_date = None  # equal results give equal bytes
     cloud = laspy.LasData(header)
     cloud.xyz = points
-    cloud["label"] = result.points.numpy().astype(np.int32)
-    if sure is not None:
-        cloud["confidence"] = sure.numpy().astype(np.float32)
+    for name, values in columns.items():
+        cloud[name] = values
     if result.scene.colors is not None:
         colors = (result.scene.colors.clamp(0, 1) * 65535).round().numpy().astype(np.uint16)
         cloud.red, cloud.green, cloud.blue = colors.T

@@ -60,8 +60,7 @@ def export_sam(folder: Path, result: Result) -> None:
         image = {"image_id": index, "width": width, "height": height, "file_name": f"{name}.jpg"}
         crop = {"crop_box": [0, 0, width, height]}
         annotations = [mask.record(mask.segment) | crop for mask in masks_of(result.images[index])]
-        text = json.dumps({"image": image, "annotations": annotations})
-        (folder / f"{name}.json").write_text(text, encoding="utf-8")
+        write_text(folder / f"{name}.json", json.dumps({"image": image, "annotations": annotations}))
 
     folder.mkdir()
     parallel_map(write, range(len(result.images)))
@@ -87,18 +86,16 @@ def export_coco(path: Path, result: Result) -> None:
         height, width = result.images[index].shape
         images.append({"id": index + 1, "file_name": f"{files[index]}.jpg", "width": width, "height": height})
         for mask in masks:
-            annotations.append(
-                mask.record(len(annotations) + 1)
-                | {
-                    "image_id": index + 1,
-                    "category_id": 1 + categories.index(names.get(mask.segment) or UNNAMED),
-                    "iscrowd": 0,
-                    "segment_id": mask.segment,
-                    **({"segment_name": names[mask.segment]} if names.get(mask.segment) else {}),
-                    "in_cloud": mask.segment < count,
-                    **({"score": round(scores[mask.segment], 4)} if mask.segment < len(scores) else {}),
-                }
-            )
+            values = {
+                "image_id": index + 1,
+                "category_id": 1 + categories.index(names.get(mask.segment) or UNNAMED),
+                "iscrowd": 0,
+                "segment_id": mask.segment,
+                **({"segment_name": names[mask.segment]} if names.get(mask.segment) else {}),
+                "in_cloud": mask.segment < count,
+                **({"score": round(scores[mask.segment], 4)} if mask.segment < len(scores) else {}),
+            }
+            annotations.append(mask.record(len(annotations) + 1) | values)
     named = [{"id": number, "name": name, "supercategory": UNNAMED} for number, name in enumerate(categories, 1)]
     record = {
         "info": {"description": "torchjoint: one segment_id is one object, in every image"},
@@ -153,8 +150,7 @@ def _segments(result: Result) -> Tensor:
 
 
 def _scores(result: Result) -> Tensor:
-    sure = result.confidence
-    return torch.ones(result.num_point_segments, dtype=torch.float64) if sure is None else sure
+    return torch.ones(result.num_point_segments).double() if result.confidence is None else result.confidence
 
 
 @on_cpu()
@@ -169,5 +165,6 @@ def export_openmask3d(folder: Path, result: Result) -> None:
     folder.mkdir(parents=True)
     name = scene_name(result)
     segments = _segments(result)
-    torch.save(result.points[:, None] == segments, folder / f"{name}_masks.pt")
+    with (folder / f"{name}_masks.pt").open("wb") as stream:  # torch does not say that a disk is full
+        torch.save(result.points[:, None] == segments, stream)
     np.save(folder / f"{name}_openmask3d_features.npy", result.embeddings.vectors[segments].numpy())
