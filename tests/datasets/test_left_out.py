@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import shutil
 import struct
+import warnings
 from pathlib import Path
 
 import laspy
@@ -86,6 +87,17 @@ def test_folders_beside_recordings(name, below, tmp_path):
     (scene.with_name("other") / "images").mkdir(parents=True)
     with pytest.warns(UserWarning, match="1 of 2 folders are of no known format, and are left out: other"):
         assert [*tj.datasets.list_scenes(tmp_path / "all").values()] == [scene]
+
+
+def test_a_folder_of_two_formats(tmp_path):
+    path = samples.write("nerfstudio", tmp_path / "sample")
+    shutil.copytree(samples.write("replica", tmp_path / "other"), path, dirs_exist_ok=True)
+    shutil.copy(next((tmp_path / "other").rglob("cam_params.json")), path)
+    with pytest.warns(UserWarning, match=r"has files of nerfstudio and replica; read as nerfstudio; format .* another"):
+        tj.load_scene(path)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "has files of")
+        assert len(tj.load_scene(path, format="replica").frames) > 0
 
 
 def test_things_of_s3dis_whose_files_have_other_names(tmp_path):

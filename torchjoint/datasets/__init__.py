@@ -78,9 +78,12 @@ def find_format(path: Path, format: str | None) -> Format:
     """The format of a scene, or the given one; raises as :func:`load_scene` does if it does not fit."""
     if format is not None and format not in FORMATS:
         raise ValueError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
-    for module in FORMATS.values() if format is None else [FORMATS[format]]:
-        if module.recognizes(path):
-            return module
+    fits = [name for name in FORMATS if format in (None, name) and or_unreadable(FORMATS[name].recognizes, path)]
+    if len(fits) > 1 and has_folder(path):
+        told = f"has files of {' and '.join(fits)}; read as {fits[0]}; format (--format) chooses another"
+        warnings.warn(f"{path}: {told}", stacklevel=1)  # of one place: told once by a command
+    if fits:
+        return FORMATS[fits[0]]
     if format is not None:
         raise ValueError(f"scene: {path} is not of format {format}, which needs {FORMATS[format].WHAT}")
     some = ", ".join(str(one) for one in list(list_scenes(path).values())[:3])

@@ -171,8 +171,7 @@ class Volume:
             center = ((SIDE * _position(key[block]) + voxel).double() + 0.5) * self.voxel_size
             center[:, axis] += self.voxel_size * share[:, 0]
             following_row = torch.where(voxel[:, axis] == SIDE - 1, next_row[block], row[block])
-            following_voxel = voxel.clone()
-            following_voxel[:, axis] = (voxel[:, axis] + 1) % SIDE
+            following_voxel = (voxel + torch.eye(3, dtype=torch.int64)[axis]) % SIDE
             ends = (row[block], voxel), (following_row, following_voxel)
             first, second = (_color(sums[rows, *voxels.unbind(1)]) for rows, voxels in ends)
             found.append(torch.cat([center, torch.lerp(first, second, share)], 1))

@@ -121,11 +121,10 @@ def open_las(path: Path, only_places: bool = True) -> Iterator[Any]:
     header, kinds = check_header(path), laspy.DecompressionSelection
     if not header.num_points:
         raise ValueError(f"{path}: not a whole LAS file: no points")
-    places = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.RGB | kinds.ALL_EXTRA_BYTES
+    places = kinds.XY_RETURNS_CHANNEL | kinds.Z | kinds.RGB | kinds.ALL_EXTRA_BYTES if only_places else kinds.all()
     with ExitStack() as stack:
         with _clear_errors(path):
-            selection = places if only_places else kinds.all()
-            opened = laspy.open(path, decompression_selection=selection, laz_backend=laz_backend(laspy))
+            opened = laspy.open(path, decompression_selection=places, laz_backend=laz_backend(laspy))
             reader = stack.enter_context(opened)
             reader.header.point_count = header.num_points  # laspy takes a wide count of 0
             if header.is_compressed:
