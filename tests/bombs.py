@@ -79,6 +79,26 @@ def gltf(count: int, places: int = 0, data: bytes | None = None, **more: Any) ->
     return json.dumps(tree | {"scenes": [{"nodes": list(range(len(nodes)))}], "scene": 0} | more).encode()
 
 
+def glb_of_two() -> bytes:
+    """A mesh with a picture in its second buffer, for which trimesh takes the last chunk: EPS."""
+    triangle, plain = bytes(60), png(4, 4, rows=bytes(20))
+    size = 60 + max(len(plain), len(EPS))
+    link = "base64," + base64.b64encode((triangle + plain).ljust(size, b"\0")).decode()
+    places = ((0, 0, 36), (0, 36, 24), (1, 60, size - 60))
+    tree = json.loads(gltf(3, 1, triangle)) | {
+        "buffers": [{"byteLength": size}, {"byteLength": size, "uri": link}],
+        "bufferViews": [{"buffer": one, "byteOffset": at, "byteLength": long} for one, at, long in places],
+        "images": [{"bufferView": 2, "mimeType": "image/png"}],
+        "textures": [{"source": 0}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+    }
+    tree["accessors"].append({"bufferView": 1, "componentType": 5126, "count": 3, "type": "VEC2"})
+    tree["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "material": 0}]}]
+    chunks = ((b"JSON", json.dumps(tree).encode()), (b"mine", b""), (b"BIN\0", (triangle + EPS).ljust(size)))
+    content = b"".join(struct.pack("<I", len(data)) + kind + data for kind, data in chunks)
+    return b"glTF" + struct.pack("<2I", 2, 12 + len(content)) + content
+
+
 def ply(*lines: str, body: bytes = b"", encoding: str = "binary_little_endian") -> bytes:
     return "\n".join(["ply", f"format {encoding} 1.0", *lines, "end_header", ""]).encode() + body
 
@@ -230,6 +250,9 @@ BOMBS: dict[str, Bomb] = {
         gltf(3, 1, bytes(36), images=[{"uri": "data:image/png;base64,JSFQUw=="}]),
         read_cloud_file,
         "expected one of PNG, JPEG",
+    ),
+    "image that trimesh finds elsewhere": Bomb(
+        "program", ".glb", glb_of_two(), read_cloud_file, "at most one buffer without uri"
     ),
     "textures of a mesh": Bomb(
         "sum", ".gltf", gltf(3, 1, bytes(36), images=[{"uri": PICTURE}] * 20), read_cloud_file, "pixels in all textures"

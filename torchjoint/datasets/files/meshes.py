@@ -285,8 +285,11 @@ def check_gltf(data: bytes, parts: MeshParts, name: str) -> None:
     """Checks the images of a .gltf or .glb, and that its numbers lie in its buffers."""
     chunks = _chunks(data) if data[:4] == b"glTF" else [(_JSON, data)]
     tree = parse_json(next(chunk for kind, chunk in chunks if kind == _JSON), name)
-    binary = iter([chunk for kind, chunk in chunks if kind == _BINARY])
-    buffers = [_content(one, parts) if "uri" in one else next(binary, b"") for one in tree.get("buffers", ())]
+    given = tree.get("buffers", ())
+    # Of other files trimesh would take other bytes for a buffer than those that are checked here.
+    if sum("uri" not in one for one in given) > [kind for kind, _ in chunks[1:2]].count(_BINARY):
+        raise ValueError("expected at most one buffer without uri, whose bytes are the second chunk of the file")
+    buffers = [_content(one, parts) if "uri" in one else chunks[1][1] for one in given]
     _check_numbers(tree, sum(map(len, buffers)) + len(data))
     _check_kinds(tree, name)
     for index, image in enumerate(tree.get("images", ())):
@@ -306,7 +309,6 @@ def _check_kinds(tree: dict[str, Any], name: str) -> None:
     used = [[tree["accessors"][at] for at in _accessors(one)] for one in primitives]
     named = [{key: tree["accessors"][at] for key, at in one["attributes"].items()} for one in primitives]
     kinds = [(key, one[key]["componentType"]) for one in named for key in _KINDS.keys() & one.keys()]
-    positions = [one["POSITION"] for one in named]
     found = {
         "skins": any("skin" in node for node in nodes),
         "many instances of a node": any("EXT_mesh_gpu_instancing" in node.get("extensions", ()) for node in nodes),
@@ -317,8 +319,8 @@ def _check_kinds(tree: dict[str, Any], name: str) -> None:
         "attributes of several lengths": any(len({one["count"] for one in of_one.values()}) > 1 for of_one in named),
         "odd integers as colours or places in textures": any(kind not in _KINDS[key] for key, kind in kinds),
         "fans of triangles": any(one.get("mode") == 6 for one in primitives),
-        "normalized positions": any(one.get("normalized") for one in positions),
-        "positions that are no triples": any(one["type"] != "VEC3" for one in positions),
+        "normalized positions": any(one["POSITION"].get("normalized") for one in named),
+        "positions that are no triples": any(one["POSITION"]["type"] != "VEC3" for one in named),
     }
     unknown |= {what for what, is_there in found.items() if is_there}
     for _ in (one for one in primitives if one.get("mode") in (2, 3)):
