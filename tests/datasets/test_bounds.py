@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import struct
 import sys
 import tracemalloc
 from contextlib import nullcontext, suppress
@@ -20,6 +21,7 @@ from torchjoint.datasets.files.ply import read_ply
 from torchjoint.datasets.files.readers import decode_image
 from torchjoint.masks.rle import polygon_pixels
 from torchjoint.runtime import bounds
+from torchjoint.viewer.truth import read_labelled_cloud
 
 #: What a program would be started with.
 PROGRAMS = ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.startfile", "os.fork", "os.forkpty")
@@ -91,6 +93,22 @@ def test_the_texture_of_a_mesh(tmp_path, no_program):
         (tmp_path / "a.png").write_bytes(bombs.EPS)
         with traps.ends(), pytest.raises(ValueError, match=r"a\.obj: not a whole \.obj mesh"):
             read_cloud_file(tmp_path / "a.obj")
+    assert STARTED == []
+
+
+@pytest.mark.parametrize("read", [read_cloud_file, read_labelled_cloud])
+def test_a_picture_in_a_chunk_that_the_spec_does_not_know(read, tmp_path, no_program):
+    """trimesh counts a second chunk of bytes as a buffer: the last one of them."""
+    tree = json.loads(bombs.gltf(3, 1, bytes(36)))
+    tree["buffers"] = [{"byteLength": 36}]
+    tree["images"] = [{"bufferView": 1, "mimeType": "image/png"}]
+    tree["bufferViews"].append({"buffer": -1, "byteLength": len(bombs.EPS)})
+    tree |= {"textures": [{"source": 0}], "materials": [{"emissiveTexture": {"index": 0}}]}
+    chunks = ((b"JSON", json.dumps(tree).encode()), (b"BIN\0", bytes(36)), (b"BIN\0", bombs.EPS))
+    content = b"".join(struct.pack("<I", len(data)) + kind + data for kind, data in chunks)
+    (tmp_path / "a.glb").write_bytes(b"glTF" + struct.pack("<2I", 2, 12 + len(content)) + content)
+    with traps.ends(), pytest.raises(ValueError, match="expected one of PNG, JPEG"):
+        read(tmp_path / "a.glb")
     assert STARTED == []
 
 

@@ -1,6 +1,5 @@
 """The viewer's layers that are not of a result: a scene's truth, and superpoints of a file."""
 
-import io
 import re
 import warnings
 from dataclasses import replace
@@ -16,7 +15,7 @@ from torchjoint.datasets.files import text_clouds
 from torchjoint.datasets.files.clouds import read_cloud_file
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import SUFFIXES, las_chunks, open_las
-from torchjoint.datasets.files.meshes import MeshParts, check_gltf
+from torchjoint.datasets.files.meshes import scene_of
 from torchjoint.datasets.files.ply import read_vertex_property
 from torchjoint.results.labelled_file import KEPT, ORIGIN
 from torchjoint.results.result import Result
@@ -103,11 +102,7 @@ def _of_parts(path: Path, stems: list[str], clouds: list[CloudFile]) -> Result:
 
 def _of_nodes(path: Path) -> Result | None:
     """The vertices of a .glb of `label`, by its nodes; None: of others."""
-    import trimesh
-
-    data, others = read_file(path, "a mesh"), MeshParts(path)
-    check_gltf(data, others, str(path))
-    parts: Any = trimesh.load_scene(io.BytesIO(data), "glb", resolver=others, process=False).dump()  # type: ignore[arg-type]  # it only gets
+    parts = scene_of(read_file(path, "a mesh"), path).dump()
     stems = [str(part.metadata.get("name")) for part in parts]
     clouds = [CloudFile(torch.from_numpy(np.array(part.vertices))) for part in parts]
     return _of_parts(path, stems, clouds) if all(map(PART.fullmatch, stems)) else None

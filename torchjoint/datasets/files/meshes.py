@@ -15,6 +15,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import torch
+from PIL import Image
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -47,9 +48,7 @@ def read_mesh_file(path: Path) -> CloudFile:
     of vertices, faces or textures; if a part has none, those of the others are not read, which a warning tells. Normals
     are not read: in many files they are those of a smooth picture. Equal vertices of an .stl are one vertex.
     """
-    with needed_for(f"{path.suffix} files", "trimesh", "torchjoint[mesh]"):
-        import trimesh
-    data, suffix, name, parts = read_file(path, "a mesh"), path.suffix.lower(), str(path), MeshParts(path)
+    data, suffix, name = read_file(path, "a mesh"), path.suffix.lower(), str(path)
     if suffix in (".obj", ".off"):
         data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\t", b" ").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if suffix == ".obj":
@@ -59,19 +58,12 @@ def read_mesh_file(path: Path) -> CloudFile:
         raise ValueError(f"{path}: expected text that begins with OFF, COFF, NOFF or STOFF, got {data[:20]!r}")
     if suffix == ".stl" and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little") and any(data[133::50]):
         warnings.warn(f"{path}: colours of triangles are not read", stacklevel=4)
-    bound_textures()
     try:
-        if suffix in (".gltf", ".glb"):
-            check_gltf(data, parts, name)
-        if suffix == ".obj":
-            check_obj(data, name)
         own = _rows_of_obj(data, name) if suffix == ".obj" else _read_off(data, name) if suffix == ".off" else None
         if own is not None and (suffix == ".off" or not re.search(rb"^[ \t]*f\s", data, re.MULTILINE)):
             mesh = own
         else:
-            loaded = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=parts, process=False)  # type: ignore[arg-type]  # it only gets
-            if parts.error is not None:
-                raise parts.error
+            loaded = scene_of(data, path)
             for geometry in loaded.geometry.values():
                 if suffix == ".stl":
                     geometry.merge_vertices()
@@ -91,6 +83,20 @@ def read_mesh_file(path: Path) -> CloudFile:
     if not 0 <= low <= high < len(mesh.points):
         raise ValueError(f"{path}: expected faces of {len(mesh.points)} vertices, got {low} to {high}")
     return mesh
+
+
+def scene_of(data: bytes, path: Path) -> Any:
+    """The scene that trimesh reads of the bytes of a file, after they are checked."""
+    with needed_for(f"{path.suffix} files", "trimesh", "torchjoint[mesh]"):
+        import trimesh
+    parts, kind = MeshParts(path), path.suffix.lower()[1:]
+    bound_textures()
+    if kind in ("gltf", "glb"):
+        check_gltf(data, parts, str(path))
+    loaded = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=parts, process=False)  # type: ignore[arg-type]  # it only gets
+    if parts.error is not None:
+        raise parts.error
+    return loaded
 
 
 def _joined(parts: Sequence[Any], name: str) -> CloudFile:
@@ -144,6 +150,7 @@ def _of_material(visual: Any, count: int) -> Array:
 
 def _rows_of_obj(data: bytes, name: str) -> CloudFile:
     """The `v` lines of an .obj: x y z, and r g b of some programs. Seven numbers are x y z w r g b or x y z r g b a."""
+    check_obj(data, name)
     rows = [line.split()[1:] for line in data.splitlines() if line.startswith(b"v ")]
     points = np.array([row[:3] for row in rows], np.float64).reshape(-1, 3)
     colors = np.array([row[3:] if len(row) == 6 else [np.nan] * 3 for row in rows], np.float64).reshape(-1, 3)
@@ -220,7 +227,7 @@ class MeshParts:
             is_library = name.strip().lower().endswith(".mtl") and name not in self._names
             self._names.add(name)
             if self._path.suffix.lower() == ".obj" and not is_library:
-                self.check_texture(data, str(self._path.parent / name))
+                self.texture(data, str(self._path.parent / name))
         except FileNotFoundError:
             warnings.warn(f"{self._path}: {name}: missing in its folder; colours of it are not read", stacklevel=2)
             raise
@@ -231,11 +238,18 @@ class MeshParts:
 
     get = __getitem__
 
-    def check_texture(self, data: bytes, name: str) -> None:
-        """Checks a texture, and the sum of all of them; errors as of :func:`decode_image`."""
+    def texture(self, data: bytes, name: str) -> Image.Image:
+        """Decodes a texture, and bounds the sum of all of them; errors as of :func:`decode_image`."""
         image = decode_image(data, name, kinds=TEXTURES)
         self._pixels += image.width * image.height
         bounds.check(self._pixels, bounds.TEXTURES, "pixels in all textures", name)
+        return image
+
+    def images(self, tree: dict[str, Any], views: Sequence[bytes]) -> list[Image.Image]:
+        """The images of a .gltf or .glb, of the bytes that trimesh has found for them."""
+        images = tree.get("images", ())
+        found = [views[one["bufferView"]] if "bufferView" in one else _content(one, self) for one in images]
+        return [self.texture(data, f"{self._path}: image {index}") for index, data in enumerate(found)]
 
     def _read(self, name: str) -> bytes:
         for candidate in (name.strip(), unquote(name.strip()), name.strip().lstrip("/"), os.path.split(name)[-1]):
@@ -249,11 +263,11 @@ class MeshParts:
 
 
 def bound_textures() -> None:
-    """Makes trimesh decode the textures of .obj files with our decoder; those of .gltf are checked before.
+    """Makes trimesh decode textures with our decoder: Pillow would choose it by their content.
 
     And makes it divide colours of 16 bits, of which it takes the low byte.
     """
-    from trimesh.exchange import obj
+    from trimesh.exchange import gltf, obj
     from trimesh.visual import color
     from trimesh.visual.texture import TextureVisuals
 
@@ -264,6 +278,10 @@ def bound_textures() -> None:
 
     vars(color)["to_rgba"] = to_rgba
 
+    others = vars(gltf).setdefault("textures_of_trimesh", vars(gltf)["_parse_textures"])
+    vars(gltf)["_parse_textures"] = lambda tree, views, resolver=None: (
+        resolver.images(tree, views) if isinstance(resolver, MeshParts) else others(tree, views, resolver)
+    )
     vars(obj)["Image"] = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", kinds=TEXTURES))
     # A part with places in a texture, but without a material, has no colour; trimesh would make it grey.
     vars(obj)["TextureVisuals"] = lambda uv, material=None: None if material is None else TextureVisuals(uv, material)
@@ -282,7 +300,7 @@ def check_obj(data: bytes, name: str) -> None:
 
 
 def check_gltf(data: bytes, parts: MeshParts, name: str) -> None:
-    """Checks the images of a .gltf or .glb, and that its numbers lie in its buffers."""
+    """Checks that the numbers of a .gltf or .glb lie in its buffers, and that trimesh reads what it has."""
     chunks = _chunks(data) if data[:4] == b"glTF" else [(_JSON, data)]
     tree = parse_json(next(chunk for kind, chunk in chunks if kind == _JSON), name)
     given = tree.get("buffers", ())
@@ -292,14 +310,6 @@ def check_gltf(data: bytes, parts: MeshParts, name: str) -> None:
     buffers = [_content(one, parts) if "uri" in one else chunks[1][1] for one in given]
     _check_numbers(tree, sum(map(len, buffers)) + len(data))
     _check_kinds(tree, name)
-    for index, image in enumerate(tree.get("images", ())):
-        if "bufferView" in image:
-            view = tree["bufferViews"][image["bufferView"]]
-            start = view.get("byteOffset", 0)
-            content = buffers[view["buffer"]][start : start + view["byteLength"]]
-        else:
-            content = _content(image, parts)
-        parts.check_texture(content, f"{name}: image {index}")
 
 
 def _check_kinds(tree: dict[str, Any], name: str) -> None:
