@@ -193,7 +193,7 @@ class Result(Segmentation):
         """
         with needed_for("Result.to_open3d", "Open3D", "torchjoint[open3d]"):
             import open3d
-        cloud = open3d.t.geometry.PointCloud(self.scene.points.numpy())
+        cloud = open3d.t.geometry.PointCloud(self.scene.points.numpy().copy())  # which transform() changes
         cloud.point.colors = label_colors(self.points).numpy()
         cloud.point.labels = self.points[:, None].to(torch.int32).numpy()  # Open3D writes no int64 into files
         return cloud
