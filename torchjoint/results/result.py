@@ -211,7 +211,8 @@ class Result(Segmentation):
 
         Without a negative, it is their segment in :attr:`points`, with corrections, or, if they lie in several, the
         smallest one of the hierarchy that contains all. With negatives, each chosen point gives the largest segment of
-        the hierarchy that contains no negative, and the pick is all of these together.
+        the hierarchy that contains no negative, up to the default level, or up to that where the chosen points are in
+        one; the pick is all of these together.
 
         Args:
             points: [K] int64 indices of points, or [K, 3] float positions, metres; a position stands for the nearest
