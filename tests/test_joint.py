@@ -93,6 +93,10 @@ class TestSameLabels:
     def test_from_batches_of_another_size(self, synthetic, config, result, batch_size):
         assert_same(result, tj.JointSegmenter(config)(synthetic.scene, batch_size=batch_size))
 
+    def test_no_batches_of_less_than_one_frame(self, synthetic):
+        with pytest.raises(ValueError, match="batch_size: expected at least 1 frame, got -1"):  # it saw no frame
+            tj.JointSegmenter()(synthetic.scene, batch_size=-1)
+
     def test_from_update_and_compute(self, synthetic, config, result):
         scene, segmenter = synthetic.scene, tj.JointSegmenter(config)
         segmenter.reset(scene.points, scene.colors)

@@ -237,6 +237,8 @@ class JointSegmenter(nn.Module):
         Yields:
             the number of frames in the state, before the first batch and after each one.
         """
+        if not batch_size >= 1:
+            raise ValueError(f"batch_size: expected at least 1 frame, got {batch_size}")
         checked = self._start(scene, resume)
         done = len(self.state.observations)
         rest = range(done, len(scene.frames))
@@ -468,8 +470,5 @@ def _warn_of_unused_inputs(frame: Frame, method: Method) -> None:
     """Logs that images do not affect the segments of the points; warns if frames have masks or labels for this."""
     logger.info(f"frames: method {method.name} segments the points without images; images only get the points' labels")
     if given := "masks" if frame.masks is not None else "labels" if frame.labels is not None else "":
-        warnings.warn(
-            f"{given} of frames: method {method.name} segments the points without images, so these {given} have no "
-            "effect on the points; point_segments.method=learned uses them",
-            stacklevel=4,
-        )
+        told = f"method {method.name} segments the points without images, so these {given} have no effect on the points"
+        warnings.warn(f"{given} of frames: {told}; point_segments.method=learned uses them", stacklevel=4)
