@@ -157,9 +157,7 @@ class JointSegmenter(nn.Module):
         if method is not None and not isinstance(method, Method):
             raise TypeError(f"method: expected a torchjoint.segments.method.Method, got {type(method).__name__}")
         if config is not None and not isinstance(config, Config):
-            raise TypeError(
-                f"config: expected a Config, got {type(config).__name__}; see JointSegmenter.from_preset('paper')"
-            )
+            raise TypeError(f"config: expected a Config, got {type(config).__name__}; or use from_preset('paper')")
         if not (math.isfinite(merge_within) and merge_within >= 0):
             raise ValueError(f"merge_within: expected metres >= 0, got {merge_within}")
         self.merge_within, self.granularity = merge_within, granularity
@@ -397,8 +395,7 @@ class JointSegmenter(nn.Module):
         method = self.method
         if config.point_segments.method != self.config.point_segments.method and self._own_method is None:
             assert self._given is not None  # there is a method
-            distinct, _ = without_copies(Cloud(self._given))
-            method = choose_method(config, distinct.points)
+            method = choose_method(config, without_copies(Cloud(self._given))[0].points)
         different = [name for name in evidence_differences(self.config, config) if name != "point_segments.method"]
         if method.name != self.method.name:
             different.append("point_segments.method")
