@@ -203,6 +203,8 @@ class JointSegmenter(nn.Module):
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
+        if not isinstance(scene, Scene):
+            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
         own = copy(self)  # of this call: several threads may call one segmenter
         self._given = self._graph = self._state = None  # one cloud at a time in memory
         for _ in own.steps(scene, progress=progress, batch_size=batch_size):
@@ -254,8 +256,6 @@ class JointSegmenter(nn.Module):
     @on_cpu()
     def _start(self, scene: Scene, resume: Callable[[Observations], Evidence | None] | None) -> dict[int, Frame]:
         """Resets to a scene's cloud, checks its poses, and resumes; gives the frames that the check has read."""
-        if not isinstance(scene, Scene):
-            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
         self._reset(scene.cloud)
         if checked := frames_to_check(scene):
             check = self._new_check(scene.name)
@@ -304,6 +304,7 @@ class JointSegmenter(nn.Module):
         self._reset(Cloud.checked(points, colors, normals))
 
     def _reset(self, given: Cloud) -> None:
+        self._state = self._pose_check = None  # of the cloud before: what interrupts this must not leave them
         self.stopwatch, self._checksum = Stopwatch(), zlib.crc32(given.points.contiguous().numpy().data)
         kept = kept_points(given.points, "points", "keep", "drop many").nonzero().squeeze(1)
         num_given, given = len(given.points), given if len(kept) == len(given.points) else given.selected(kept)
@@ -318,7 +319,6 @@ class JointSegmenter(nn.Module):
             if logger.isEnabledFor(logging.INFO):
                 logger.info(describe(given, self._graph, self._method))
         self._state = Evidence.empty(self._graph, self._store())
-        self._pose_check = None
 
     def _store(self) -> Observations:
         return Observations(budget=self._memory, folder=self._offload)
