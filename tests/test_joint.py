@@ -93,6 +93,23 @@ class TestSameLabels:
     def test_from_batches_of_another_size(self, synthetic, config, result, batch_size):
         assert_same(result, tj.JointSegmenter(config)(synthetic.scene, batch_size=batch_size))
 
+    def test_what_fails_neither_forgets_nor_mixes_frames(self, synthetic, monkeypatch):
+        scene, segmenter = synthetic.scene, tj.JointSegmenter()
+        segmenter.reset(scene.points, scene.colors)
+        segmenter.update(scene.frames[0])
+        with pytest.raises(TypeError, match="scene: expected a Scene"):
+            segmenter(scene.points)
+        assert len(segmenter.state.observations) == 1
+        monkeypatch.setattr("torchjoint.joint.warn_of_rounding", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            segmenter.reset(scene.points[1:])
+        with pytest.raises(RuntimeError, match="call reset"):
+            segmenter.compute()
+
+    def test_no_batches_of_less_than_one_frame(self, synthetic):
+        with pytest.raises(ValueError, match="batch_size: expected at least 1 frame, got -1"):  # it saw no frame
+            tj.JointSegmenter()(synthetic.scene, batch_size=-1)
+
     def test_from_update_and_compute(self, synthetic, config, result):
         scene, segmenter = synthetic.scene, tj.JointSegmenter(config)
         segmenter.reset(scene.points, scene.colors)

@@ -44,6 +44,20 @@ def test_a_result_is_that_of_the_offline_method(frames):
         assert torch.equal(one, other)
 
 
+def test_a_forked_process_does_not_share_the_voxels(frames):
+    """It wrote to the same temporary file: frames were fused twice in both processes, silently."""
+    segmenter = played(frames[:2], step=0, memory=0)
+    if not (child := os.fork()):
+        try:
+            segmenter.update(frames[2])
+        except RuntimeError as error:
+            os._exit("a forked process shares the temporary file" not in str(error))
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    segmenter.update(frames[2:])
+    assert torch.equal(segmenter.result().labels, played(frames, step=0).result().labels)
+
+
 def test_results_in_between_and_batches_change_no_label(frames):
     often = tj.LiveSegmenter(voxel_size=VOXEL)
     for frame in frames:

@@ -167,6 +167,16 @@ def test_labels_there_and_back():
     assert torch.equal(transfer_labels(features, points, sample), features[::3])
 
 
+def test_labels_of_points_that_were_rounded():
+    """500 km from the origin float32 keeps 6 cm: most labels were those of others, silently."""
+    points = cloud(3).double() + 5e5
+    labels = torch.arange(len(points))
+    assert torch.equal(transfer_labels(labels, points, points), labels)
+    for source, target in ((points, points.float()), (points.float(), points), (points.float(), points.float())):
+        with pytest.warns(UserWarning, match=r"coordinates keep only 0\.06 m, but neighbours are 0\.0\d+ m apart"):
+            transfer_labels(labels, source, target)
+
+
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [

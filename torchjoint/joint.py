@@ -160,9 +160,7 @@ class JointSegmenter(nn.Module):
         if method is not None and not isinstance(method, Method):
             raise TypeError(f"method: expected a torchjoint.segments.method.Method, got {type(method).__name__}")
         if config is not None and not isinstance(config, Config):
-            raise TypeError(
-                f"config: expected a Config, got {type(config).__name__}; see JointSegmenter.from_preset('paper')"
-            )
+            raise TypeError(f"config: expected a Config, got {type(config).__name__}; or use from_preset('paper')")
         if not (math.isfinite(merge_within) and merge_within >= 0):
             raise ValueError(f"merge_within: expected metres >= 0, got {merge_within}")
         self.merge_within, self.granularity = merge_within, granularity
@@ -208,6 +206,8 @@ class JointSegmenter(nn.Module):
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
+        if not isinstance(scene, Scene):
+            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
         own = copy(self)  # of this call: several threads may call one segmenter
         self._given = self._graph = self._state = None  # one cloud at a time in memory
         for _ in own.steps(scene, progress=progress, batch_size=batch_size):
@@ -240,6 +240,8 @@ class JointSegmenter(nn.Module):
         Yields:
             the number of frames in the state, before the first batch and after each one.
         """
+        if not batch_size >= 1:
+            raise ValueError(f"batch_size: expected at least 1 frame, got {batch_size}")
         checked = self._start(scene, resume)
         done = len(self.state.observations)
         rest = range(done, len(scene.frames))
@@ -257,8 +259,6 @@ class JointSegmenter(nn.Module):
     @on_cpu()
     def _start(self, scene: Scene, resume: Callable[[Observations], Evidence | None] | None) -> dict[int, Frame]:
         """Resets to a scene's cloud, checks its poses, and resumes; gives the frames that the check has read."""
-        if not isinstance(scene, Scene):
-            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
         self._reset(scene.cloud)
         if checked := frames_to_check(scene):
             check = self._new_check(scene.name)
@@ -307,6 +307,7 @@ class JointSegmenter(nn.Module):
         self._reset(Cloud.checked(points, colors, normals))
 
     def _reset(self, given: Cloud) -> None:
+        self._state = self._pose_check = None  # of the cloud before: what interrupts this must not leave them
         self.stopwatch, self._checksum = Stopwatch(), zlib.crc32(given.points.contiguous().numpy().data)
         kept = kept_points(given.points, "points", "keep", "drop many").nonzero().squeeze(1)
         num_given, given = len(given.points), given if len(kept) == len(given.points) else given.selected(kept)
@@ -321,7 +322,6 @@ class JointSegmenter(nn.Module):
             if logger.isEnabledFor(logging.INFO):
                 logger.info(describe(given, self._graph, self._method))
         self._state = Evidence.empty(self._graph, self._store())
-        self._pose_check = None
 
     def _store(self) -> Observations:
         return Observations(budget=self._memory, folder=self._offload)
@@ -398,8 +398,7 @@ class JointSegmenter(nn.Module):
         method = self.method
         if config.point_segments.method != self.config.point_segments.method and self._own_method is None:
             assert self._given is not None  # there is a method
-            distinct, _ = without_copies(Cloud(self._given))
-            method = choose_method(config, distinct.points)
+            method = choose_method(config, without_copies(Cloud(self._given))[0].points)
         different = [name for name in evidence_differences(self.config, config) if name != "point_segments.method"]
         if method.name != self.method.name:
             different.append("point_segments.method")
@@ -471,8 +470,5 @@ def _warn_of_unused_inputs(frame: Frame, method: Method) -> None:
     """Logs that images do not affect the segments of the points; warns if frames have masks or labels for this."""
     logger.info(f"frames: method {method.name} segments the points without images; images only get the points' labels")
     if given := "masks" if frame.masks is not None else "labels" if frame.labels is not None else "":
-        warnings.warn(
-            f"{given} of frames: method {method.name} segments the points without images, so these {given} have no "
-            "effect on the points; point_segments.method=learned uses them",
-            stacklevel=4,
-        )
+        told = f"method {method.name} segments the points without images, so these {given} have no effect on the points"
+        warnings.warn(f"{given} of frames: {told}; point_segments.method=learned uses them", stacklevel=4)

@@ -16,7 +16,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from torchjoint.cloud.local import distinct_points
+from torchjoint.cloud.local import distinct_points, warn_of_rounding
 from torchjoint.config import SuperpointsConfig
 from torchjoint.oversegmentation import SuperpointsParameters, superpoints
 from torchjoint.runtime.groups import check_dense, first_places
@@ -128,8 +128,8 @@ def transfer_labels(
         >>> transfer_labels(torch.tensor([3, 4]), here, there, max_distance=0.5)
         tensor([ 3,  4, -1])
     """
-    source = as_points(from_points, "from_points").double()
-    target = as_points(to_points, "to_points").double().numpy()
+    given = as_points(from_points, "from_points"), as_points(to_points, "to_points")
+    source, target = (points.double() for points in given)
     check_dense(labels, "labels")
     if labels.ndim == 0 or len(labels) != len(source):
         raise ValueError(f"labels: expected one for each of {len(source)} from_points, got {list(labels.shape)}")
@@ -139,16 +139,22 @@ def transfer_labels(
         raise TypeError(f"labels: expected a dtype that has -1 (max_distance is given), got {labels.dtype}")
     if (same := distinct_points(source)) is not None:  # thousands of equal points would all be equally near
         labels, source = labels[first := first_places(same)], source[first]
-    index, distance = _nearest(source.numpy(), target)
+    index, distance, spacing = _nearest(source.numpy(), target.numpy())
+    for points in given:  # their largest coordinates tell to what they were rounded
+        warn_of_rounding(points.abs().amax(0, keepdim=True), torch.from_numpy(spacing))
     result = labels[torch.from_numpy(index)]
     if max_distance is not None:
         result[torch.from_numpy(distance > max_distance)] = -1
     return result
 
 
-def _nearest(source: Any, target: Any) -> tuple[Any, Any]:
-    """Index of the nearest source of each target, and the distance to it; of equally near ones the lowest index."""
+def _nearest(source: Any, target: Any) -> tuple[Any, Any, Any]:
+    """Index of the nearest source of each target, and the distance to it; of equally near ones the lowest index.
+
+    And about the spacing of the sources: the distance to the second nearest, of at most a thousand targets.
+    """
     tree = cKDTree(source, balanced_tree=False, compact_nodes=False)
+    spacing = tree.query(target[:: 1 + len(target) // 1000], k=[2])[0][:, 0]
     nearest, distance = np.empty(len(target), dtype=np.int64), np.empty(len(target))
     open_, count = np.arange(len(target)), min(2, len(source))
     while len(open_):
@@ -158,7 +164,7 @@ def _nearest(source: Any, target: Any) -> tuple[Any, Any]:
         nearest[open_] = np.where(tied, index, len(source)).min(axis=1)
         distance[open_] = found[:, 0]
         open_, count = open_[tied[:, -1] & (count < len(source))], min(4 * count, len(source))
-    return nearest, distance
+    return nearest, distance, spacing
 
 
 def _get(sample: Any, name: str) -> Any:

@@ -56,12 +56,12 @@ def test_life_of_a_metric():
     for one in SAMPLES[:3]:
         assert metric(*one) == fed([one]).compute()
     metric = pickle.loads(pickle.dumps(metric))
-    copy = metric.clone()
+    copy = metric.clone().set_dtype(torch.float32)
     copy.merge_state(fed(SAMPLES[3:]))
     for one in SAMPLES[3:]:
         metric.update(*one)
     assert metric.compute() == metric.compute() == pytest.approx(expected, abs=1e-12)
-    assert copy.compute() == pytest.approx(expected, abs=1e-12)
+    assert copy.compute() == pytest.approx(expected, abs=1e-6)
     metric.reset()
     metric.update(*SAMPLES[1])
     assert metric.compute() == fed(SAMPLES[1:2]).compute()

@@ -51,6 +51,8 @@ def test_a_result_becomes_a_cloud_with_labels():
     assert np.array_equal(cloud.point.positions.numpy(), scene.points.numpy())
     assert cloud.point.labels.numpy().ravel().tolist() == labels.tolist()
     assert np.array_equal(np.asarray(cloud.to_legacy().colors, np.float32), label_colors(labels).numpy())
+    cloud.translate(np.ones(3, np.float32))
+    assert np.allclose(cloud.point.positions.numpy(), scene.points + 1)
 
 
 def test_a_missing_open3d_is_told(monkeypatch):

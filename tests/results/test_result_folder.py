@@ -420,6 +420,11 @@ def test_all_of_a_result_that_was_read_is_saved(out, tmp_path, monkeypatch):
     gap = tj.Result.of(tj.Segmentation(2 * (read.points > 0), ()), tj.Scene(read.scene.points))
     dataclasses.replace(gap, segment_names={1: "of no point", 2: "cup"}).save(tmp_path / "gap")
     assert tj.load_result(tmp_path / "gap").segment_names == {2: "cup"}
+    frames = [dataclasses.replace(one, name="") for one in read.scene.frames]  # as of a program's own tensors
+    tj.Result.of(plain, dataclasses.replace(read.scene, frames=frames)).save(tmp_path / "unnamed")
+    unnamed = tj.load_result(tmp_path / "unnamed")
+    assert unnamed.names == tuple(f"{index:06d}" for index in range(len(frames)))
+    assert all(torch.equal(one, image) for one, image in zip(unnamed.images, read.images, strict=True))
     far = tj.Result.of(tj.Segmentation(1000 * read.points, ()), tj.Scene(read.scene.points))
     with pytest.raises(ValueError, match=r"points\.npz: not a whole result: labels: expected 0 to"):
         far.save(tmp_path / "far")

@@ -254,6 +254,16 @@ class TestTruth:
         assert [frame.name for frame in some.frames] == ["2", "0"]
         assert [int(image[0, 0]) for image in some.truth.images] == [2, 0]
         assert len(some.truth.points) == 4
+        for mask in ([True, False, True], torch.tensor([True, False, True]), np.array([True, False, True])):
+            assert [frame.name for frame in self.scene().select_frames(mask).frames] == ["0", "2"]
+        with pytest.raises(IndexError, match="boolean index did not match"):
+            self.scene().select_frames([True, False])
+
+    def test_a_list_of_frames_may_be_used_again(self):
+        frames = list(self.scene().frames)
+        scene = Scene(torch.rand(4, 3), frames)
+        frames.clear()
+        assert len(scene.frames) == 3
 
     def test_truth_of_another_size(self):
         with pytest.raises(ValueError, match=r"truth\.points: expected shape \[4\], got \[3\]"):

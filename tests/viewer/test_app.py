@@ -52,6 +52,12 @@ def test_of_two_pages_the_later_save_keeps_the_earlier_one_s(out, tmp_path):
     assert other.model.edits == saved
     one._on_save()  # it has nothing new, and shows what the other one has saved
     assert one.model.edits == saved
+    for viewer, times in ((other, 2), (one, 1)):
+        for _ in range(times):
+            viewer._guarded(viewer.model.undo)
+    one.model.select((int(one.model.table[0]),))
+    one._guarded(one.model.name, "sofa")  # again, as before it was told that the other one has undone it
+    assert read_edits(folder, one.model.parts.count).steps == one.model.edits.steps == saved.steps[:1]
     for viewer in (one, other):
         viewer.stop()
 

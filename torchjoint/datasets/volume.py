@@ -1,6 +1,7 @@
 """A truncated signed distance volume into which depth images are fused (Curless and Levoy 1996)."""
 
 import mmap
+import os
 from collections.abc import Mapping
 
 import numpy as np
@@ -62,6 +63,7 @@ class Volume:
             the keys of the blocks that it sees, int64, ascending.
         """
         key = self.blocks_near(depth, intrinsics, world_to_camera)
+        self._drop(0)
         self._add(key)
         row, order = self._row[torch.searchsorted(self._key, key)].sort()
         image, lengths = (depth, color, intrinsics, world_to_camera), (self.voxel_size, self.truncation, self.far)
@@ -72,6 +74,7 @@ class Volume:
 
     def state(self) -> dict[str, Tensor]:
         """All tensors of the volume, copied, for :meth:`restore`."""
+        self._drop(0)
         return {"key": self._key.clone(), "sums": self._sums[self._row]}
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
@@ -109,10 +112,8 @@ class Volume:
             # A block is as long as two truncations: a point is near two blocks along each axis.
             low = ((a * x + b * y + c * z - self.truncation) / (SIDE * self.voxel_size)).floor()
             if len(low) and not float(low.abs().max()) < half - 1:
-                raise ValueError(
-                    f"world_to_camera: expected points at most {half * SIDE * self.voxel_size:.4g} m from the first "
-                    f"camera for voxels of {self.voxel_size:g} m, got others; choose a larger voxel_size"
-                )
+                told = f"expected points at most {half * SIDE * self.voxel_size:.4g} m from the first camera"
+                raise ValueError(f"world_to_camera: {told}, got others; choose a voxel_size above {self.voxel_size:g}")
             first += (low.long() + half) * factor
         first = first.unique_consecutive().unique()
         return (first[:, None] + (torch.cartesian_prod(*[torch.arange(2)] * 3) * _STEPS).sum(1)).flatten().unique()
@@ -122,15 +123,12 @@ class Volume:
         new = key[~find(self._key, key)[1]]
         total = len(self._key) + len(new)
         if total > MOST_BLOCKS:
-            raise ValueError(
-                f"voxel_size: the surface needs more than {MOST_BLOCKS} blocks of {SIDE}^3 voxels of "
-                f"{self.voxel_size:g} m; choose a larger one"
-            )
+            told = f"{MOST_BLOCKS} blocks of {SIDE}^3 voxels of {self.voxel_size:g} m"
+            raise ValueError(f"voxel_size: the surface needs more than {told}; choose a larger one")
         if total > len(self._sums):
             self._grow(min(max(total, 2 * len(self._sums)), MOST_BLOCKS))
-        row = torch.arange(len(self._key), total)
         self._key, order = torch.cat([self._key, new]).sort()
-        self._row = torch.cat([self._row, row])[order]
+        self._row = torch.cat([self._row, torch.arange(total - len(new), total)])[order]
 
     def _grow(self, length: int) -> None:
         """Makes room for so many blocks."""
@@ -146,7 +144,12 @@ class Volume:
         self._sums = grown
 
     def _drop(self, count: int) -> None:
-        """Takes the blocks in the file out of memory if, with these `count` more, the limit is reached."""
+        """Takes the blocks in the file out of memory if, with these `count` more, the limit is reached.
+
+        A forked process would change, and see, those of the process that made the file: that is an error.
+        """
+        if self._file is not None and self._file.process != os.getpid():
+            raise RuntimeError("memory: a forked process shares the temporary file; save before it, and restore there")
         self._used += count * BLOCK
         if self._map is not None and self.memory is not None and self._used > self.memory:
             self._map.madvise(mmap.MADV_DONTNEED)  # of a file: nothing is lost

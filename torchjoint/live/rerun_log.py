@@ -70,9 +70,8 @@ class RerunLog:
         height, width = frame.image.shape[1:]
         lens = frame.intrinsics.double().clone()
         lens[:2, 2] += 0.5  # the middle of Rerun's first pixel
-        self._recording.log(
-            "world/camera", self._rerun.Pinhole(image_from_camera=lens.numpy(), resolution=[width, height])
-        )
+        camera = self._rerun.Pinhole(image_from_camera=lens.numpy(), resolution=[width, height])
+        self._recording.log("world/camera", camera)
         pixels = to_8_bits(frame.image).permute(1, 2, 0).contiguous().numpy()
         self._recording.log("world/camera/image", self._rerun.Image(pixels).compress(jpeg_quality=80))
 

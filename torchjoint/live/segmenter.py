@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+import os
 import threading
 import warnings
 from collections import Counter
@@ -406,7 +407,7 @@ class LiveSegmenter(nn.Module):
         """The same, in the file if there is no memory left."""
         size = keyframe.num_bytes
         if self._in_memory + size > self.memory:
-            self._file = self._file or OffloadFile()
+            self._file = self._file if self._file and self._file.process == os.getpid() else OffloadFile()
             keyframe, size = keyframe.offloaded(self._file), 0
             give_back()  # a tenth of a gigabyte that lies between the keyframes in memory
         self._in_memory += size

@@ -42,7 +42,7 @@ class AveragePrecision(NamedTuple):
 class Matches(NamedTuple):
     """True and false positives at all thresholds. The matches of several scenes are concatenated."""
 
-    threshold: Tensor  #: [M] float64, one of THRESHOLDS
+    threshold: Tensor  #: [M] float64, the number of one of THRESHOLDS, which every dtype keeps
     score: Tensor  #: [M] float64
     hit: Tensor  #: [M] float64, 1 = true positive, 0 = false positive
 
@@ -99,7 +99,7 @@ def match_instances(
 
 def areas(matches: Matches, num_instances: int) -> AveragePrecision:
     """Returns the average precisions from the matches of one or several scenes."""
-    at = [_area(matches, threshold, num_instances) for threshold in THRESHOLDS]
+    at = [_area(matches, number, num_instances) for number in range(len(THRESHOLDS))]
     return AveragePrecision(fmean(at[1:]), at[1], at[0])
 
 
@@ -119,13 +119,13 @@ def _match(table: Intersections, score: Tensor, min_size: int) -> Matches:
     iou[~(large[table.mask] & counted[table.column])] = 0
 
     found: list[tuple[float, float, float]] = []
-    for threshold in THRESHOLDS:
+    for number, threshold in enumerate(THRESHOLDS):
         match = (iou > threshold).nonzero().flatten()
         for instance_scores in _claimed(table.column[match], table.mask[match], score):
-            found.extend((threshold, one, 0.0) for one in instance_scores[:-1])
-            found.append((threshold, instance_scores[-1], 1.0))
+            found.extend((number, one, 0.0) for one in instance_scores[:-1])
+            found.append((number, instance_scores[-1], 1.0))
         alone = large.index_fill(0, table.mask[match], False) & (ignored_share <= threshold)
-        found.extend((threshold, one, 0.0) for one in score[alone].tolist())
+        found.extend((number, one, 0.0) for one in score[alone].tolist())
     return Matches(*torch.tensor(found, dtype=torch.float64).reshape(len(found), 3).unbind(1))
 
 
@@ -142,10 +142,10 @@ def _claimed(instance: Tensor, mask: Tensor, score: Tensor) -> list[list[float]]
     return result
 
 
-def _area(matches: Matches, threshold: float, num_instances: int) -> float:
+def _area(matches: Matches, number: int, num_instances: int) -> float:
     if num_instances == 0:
         return float("nan")
-    at = matches.threshold == threshold
+    at = matches.threshold == number
     scores, point = matches.score[at].unique(return_inverse=True)
     hits = torch.bincount(point, matches.hit[at], len(scores)).flip(0).cumsum(0)  # from the highest score down
     precision = hits / torch.bincount(point, minlength=len(scores)).flip(0).cumsum(0)

@@ -117,7 +117,8 @@ def write_result(
     _remove_earlier(folder)
     # Each part below uses all label images: they are computed once, and kept packed.
     packed = parallel_map(lambda index: pack(result.images[index]), range(len(result.images)))
-    result, scene = replace(result, images=LabelImages(packed)).labelled(scene)
+    names = tuple(name or file for name, file in zip(result.names, frame_files(result.names), strict=True))
+    result, scene = replace(result, images=LabelImages(packed), names=names).labelled(scene)
     write_cloud(folder / "points.ply", scene.points, label_colors(result.points), result.points)
     bar.update()
     arrays = {"points": scene.points, "labels": result.points, "colors": scene.colors}

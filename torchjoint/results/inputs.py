@@ -38,21 +38,20 @@ def write_inputs(folder: Path, scene: Scene, result: Segmentation) -> None:
     """
     for part in (INPUTS, OVERLAYS):
         (folder / part).mkdir()
-    num_point_segments, files = result.num_point_segments, frame_files(result.names)
+    num_segments, files = result.num_point_segments, frame_files(result.names)
 
     def write(index: int) -> tuple[dict[str, Any], MaskMatches | None]:
         frame, labels = scene.frames[index], result.images[index]
         pixels = (frame.image * 255).round().to(torch.uint8).permute(1, 2, 0).contiguous()
         _save(folder / INPUTS / f"{files[index]}.jpg", pixels)
-        _save(folder / OVERLAYS / f"{files[index]}.jpg", overlay(pixels, labels, num_point_segments))
+        _save(folder / OVERLAYS / f"{files[index]}.jpg", overlay(pixels, labels, num_segments))
         camera = {
-            "name": result.names[index] or files[index],
+            "name": result.names[index],
             "size": list(frame.size),
             "intrinsics": frame.intrinsics.tolist(),
             "world_to_camera": frame.world_to_camera.tolist(),
         }
-        masks = frame.masks
-        return camera, compare_masks(masks, labels, num_point_segments) if isinstance(masks, Masks) else None
+        return camera, compare_masks(frame.masks, labels, num_segments) if isinstance(frame.masks, Masks) else None
 
     written = parallel_map(write, range(len(files)))
     write_mask_report(folder, result.names, [fates for _, fates in written])

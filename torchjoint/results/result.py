@@ -194,7 +194,7 @@ class Result(Segmentation):
         """
         with needed_for("Result.to_open3d", "Open3D", "torchjoint[open3d]"):
             import open3d
-        cloud = open3d.t.geometry.PointCloud(self.scene.points.numpy())
+        cloud = open3d.t.geometry.PointCloud(self.scene.points.numpy().copy())  # which transform() changes
         cloud.point.colors = label_colors(self.points).numpy()
         cloud.point.labels = self.points[:, None].to(torch.int32).numpy()  # Open3D writes no int64 into files
         return cloud
@@ -212,7 +212,8 @@ class Result(Segmentation):
 
         Without a negative, it is their segment in :attr:`points`, with corrections, or, if they lie in several, the
         smallest one of the hierarchy that contains all. With negatives, each chosen point gives the largest segment of
-        the hierarchy that contains no negative, and the pick is all of these together.
+        the hierarchy that contains no negative, up to the default level, or up to that where the chosen points are in
+        one; the pick is all of these together.
 
         Args:
             points: [K] int64 indices of points, or [K, 3] float positions, metres; a position stands for the nearest

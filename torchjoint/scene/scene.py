@@ -128,6 +128,7 @@ class Scene:
             for index, frame in enumerate(self.frames):
                 if not isinstance(frame, Frame):
                     raise TypeError(f"frames[{index}]: expected a Frame, got {type(frame).__name__}")
+            object.__setattr__(self, "frames", tuple(self.frames))  # callers may gather the next scene's in their list
         if self.truth is not None and self.truth.points is not None:
             as_labels(self.truth.points, (len(cloud.points),), "truth.points")
 
@@ -163,18 +164,17 @@ class Scene:
 
     def select_points(self, keep: Tensor) -> Scene:
         """The scene with some of its points, in the order of `keep` ([N] bool, or [M] int64 indices)."""
-        points = self.points[keep]
         colors, normals = (None if of is None else of[keep] for of in (self.colors, self.normals))
         truth = None if self.truth is None else self.truth.select_points(keep)
-        return replace(self, points=points, colors=colors, normals=normals, truth=truth)
+        return replace(self, points=self.points[keep], colors=colors, normals=normals, truth=truth)
 
     def sample_frames(self, most: int) -> Scene:
         """The scene with at most `most` frames, evenly spread from the first to the last; lazy frames stay lazy."""
-        if most >= len(self.frames):
-            return self
-        return self.select_frames(evenly_spaced_indices(len(self.frames), most))
+        count = len(self.frames)
+        return self if most >= count else self.select_frames(evenly_spaced_indices(count, most))
 
     def select_frames(self, indices: Sequence[int]) -> Scene:
-        """The scene with some of its frames, in the order of `indices`; lazy frames stay lazy."""
-        truth = None if self.truth is None else self.truth.select_frames(indices)
-        return replace(self, frames=subset(self.frames, indices), truth=truth)
+        """The scene with some of its frames, in the order of `indices`, or by a mask [F] bool; lazy ones stay lazy."""
+        chosen = np.arange(len(self.frames))[[*indices]].tolist()
+        truth = None if self.truth is None else self.truth.select_frames(chosen)
+        return replace(self, frames=subset(self.frames, chosen), truth=truth)

@@ -370,7 +370,7 @@ class Viewer:
         if saved.steps != self.model.edits.steps:
             self._say("others have corrected this result, too; their corrections are shown now", "blue")
             self._change(lambda: self.model.take(saved))
-        self._saved = saved
+        self._saved, self._made = saved, saved.steps
 
     def _on_export(self, kind: str, client: Any) -> None:
         if self.model.selected:
