@@ -79,6 +79,16 @@ def gltf(count: int, places: int = 0, data: bytes | None = None, **more: Any) ->
     return json.dumps(tree | {"scenes": [{"nodes": list(range(len(nodes)))}], "scene": 0} | more).encode()
 
 
+def jpeg_of_scans(count: int, side: int) -> bytes:
+    """A progressive JPEG, whose last scan stands there so often."""
+    stream = io.BytesIO()
+    Image.new("L", (8, 8)).save(stream, "JPEG", progressive=True)
+    data = stream.getvalue()
+    size, last = data.index(b"\xff\xc2") + 5, data.rindex(b"\xff\xda")
+    head = data[:size] + struct.pack(">2H", side, side) + data[size + 4 : last]
+    return head + data[last:-2] * count + data[-2:]
+
+
 def glb_of_two() -> bytes:
     """A mesh with a picture in its second buffer, for which trimesh takes the last chunk: EPS."""
     triangle, plain = bytes(60), png(4, 4, rows=bytes(20))
@@ -281,6 +291,7 @@ BOMBS: dict[str, Bomb] = {
     "depth that is EPS": Bomb("program", ".png", EPS, read_depth, "expected one of PNG, JPEG"),
     "labels that are EPS": Bomb("program", ".png", EPS, read_label_image, "expected one of PNG, JPEG"),
     "masks that are EPS": Bomb("program", ".png", EPS, MASKS, "expected one of PNG, JPEG"),
+    "JPEG of many scans": Bomb("sum", ".jpg", jpeg_of_scans(300, 8000), read_image, "pixels in all scans"),
     "image that is TIFF": Bomb("program", ".jpg", tiff(), read_image, "expected one of PNG, JPEG"),
     "YAML": Bomb("size", ".yaml", b"#" * (1 << 22) + b"\n{}", read_yaml, "bytes of"),
 }

@@ -105,8 +105,7 @@ def _row(name: str, report: SceneReport, parts: list[str]) -> tuple[object, ...]
     memory = "" if report.peak_memory is None else round(report.peak_memory)
     seconds = [report.seconds.get(part, "") for part in parts]
     total = round(sum(report.seconds.values()), 3)
-    counts = (report.points, report.frames, report.segments)
-    return (name, *counts, total, *seconds, memory, "; ".join(report.warnings))
+    return name, report.points, report.frames, report.segments, total, *seconds, memory, "; ".join(report.warnings)
 
 
 _LOCK = ".batch.lock"

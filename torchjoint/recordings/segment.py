@@ -109,9 +109,8 @@ class RecordingOptions:
 
     def key(self) -> str:
         """The options that change the state of a run, as text."""
-        return (
-            f"{self.max_frames} {self.in_view} {self.thin} {self.merge_within} {self.drop_invalid} {self.least_opacity}"
-        )
+        own = self.max_frames, self.in_view, self.thin, self.merge_within, self.drop_invalid, self.least_opacity
+        return " ".join(map(str, own))
 
     def record(self, config: Config) -> dict[str, Any]:
         """On what a result depends beside its recording and its parameters, as it is written to files."""

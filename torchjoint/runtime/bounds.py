@@ -16,6 +16,8 @@ EDGE_ROWS = 1 << 26
 #: Bytes of an image's file, of its EXIF data, of text that is read as a whole, of JSON, and of YAML, which takes a
 #: thousand times as long.
 IMAGE_BYTES, EXIF_BYTES, TEXT_BYTES, JSON_BYTES, YAML_BYTES = 1 << 29, 1 << 16, 1 << 30, 1 << 28, 1 << 22
+#: Pixels of all scans of a progressive JPEG together: each scan takes as long as a whole image.
+SCANNED = 1 << 34
 #: Values of a JSON file: an empty list has two bytes there, and 64 in memory.
 JSON_VALUES = 1 << 24
 #: XML elements in each other: the library of E57 takes time with the square of it.

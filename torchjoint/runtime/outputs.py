@@ -281,9 +281,7 @@ def settle(new: Path, out: Path, aside: Path) -> None:
 def check_no_input(out: Path, inputs: Iterable[Path | None], option: str = "-o") -> None:
     """Checks that an output replaces no input, also by way of links."""
     real = Path(os.path.realpath(out))
-    for given in inputs:
-        if given is None or not given.exists():
-            continue
+    for given in (one for one in inputs if one is not None and one.exists()):
         known = Path(os.path.realpath(given))
         if out.exists() and (out.samefile(given) or (real.is_file() and known in real.parents)):
             raise ValueError(f"{option}: expected another path than the input's, {given}, got {out}")

@@ -49,6 +49,8 @@ def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tu
             if image.format == "PPM" and isinstance(to := image.tile[0].args, tuple) and to[1] not in (0, 255, 65535):
                 raise ValueError(f"expected 255 or 65535 as its largest number, got {to[1]}: Pillow scales others")
             bounds.check(len(image.info.get("exif", b"")), bounds.EXIF_BYTES, "bytes of EXIF")
+            scans = data.count(b"\xff\xda") if image.format == "JPEG" else 0
+            bounds.check(scans * image.width * image.height, bounds.SCANNED, "pixels in all scans")
             if not header_only:
                 if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
                     Image.open(io.BytesIO(data), formats=("PNG",)).verify()
