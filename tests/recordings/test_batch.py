@@ -293,6 +293,7 @@ class TestScenes:
             Path(name).touch()
         assert list(find_recordings(["a.ply", "a.las"])) == ["a.ply", "a.las"]
         assert find_recordings(["a.ply", tmp_path / "a.ply"]) == {"a": tmp_path / "a.ply"}
+        assert list(find_recordings(["a.ply", tmp_path / ".." / tmp_path.name / "a.ply"])) == ["a"]
         assert len({name.casefold() for name in find_recordings(["Room", "room"])}) == 2
         for name in ("x-y/z.ply", "x/y-z.ply"):
             Path(name).parent.mkdir()
