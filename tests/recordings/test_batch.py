@@ -7,7 +7,9 @@ import itertools
 import os
 import shutil
 import sys
-from concurrent.futures import Executor, Future
+import time
+import warnings
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
@@ -96,6 +98,25 @@ def test_the_workers_of_a_machine_share_its_memory(scans, tmp_path, monkeypatch)
     for on_machine in (1, 4, None):  # None: a cluster; its machines may run a task on each core
         tj.batch(scans / "a", tmp_path, engine=Engine("here", HereExecutor(), lambda: 1, 1, on_machine))
     assert budgets == [12_000, 3_000, 12_000 // joblib.cpu_count()]
+
+
+def test_threads_keep_each_warning_with_its_recording(tmp_path, monkeypatch):
+    """Recordings with wrong poses had results, others their warnings; then no warning was shown any more."""
+
+    def segment(path, *_, **__):
+        with tj.recordings.segment._poses_must_fit():
+            time.sleep(0.05 * " abcd".index(path.name))  # the first ends while the others work
+            warnings.warn(path.name, tj.PoseWarning, stacklevel=1)
+
+    monkeypatch.setattr(tj.recordings.one_scene, "segment_recording", segment)
+    for name in "abcd":
+        (tmp_path / name).mkdir()
+    before = warnings.showwarning, [*warnings.filters]
+    with ThreadPoolExecutor(4) as threads:
+        report = tj.batch([tmp_path / name for name in "abcd"], tmp_path / "out", engine=threads)
+    told = "; --ignore-poses segments it all the same"
+    assert report.failures == {name: name + told for name in "abcd"}
+    assert (warnings.showwarning, [*warnings.filters]) == before
 
 
 def test_what_is_done_is_skipped(done, scans):
@@ -272,6 +293,7 @@ class TestScenes:
             Path(name).touch()
         assert list(find_recordings(["a.ply", "a.las"])) == ["a.ply", "a.las"]
         assert find_recordings(["a.ply", tmp_path / "a.ply"]) == {"a": tmp_path / "a.ply"}
+        assert list(find_recordings(["a.ply", tmp_path / ".." / tmp_path.name / "a.ply"])) == ["a"]
         assert len({name.casefold() for name in find_recordings(["Room", "room"])}) == 2
         for name in ("x-y/z.ply", "x/y-z.ply"):
             Path(name).parent.mkdir()

@@ -2,13 +2,15 @@
 
 import io
 import tracemalloc
+import warnings
 import zipfile
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from torchjoint.datasets.files.clouds import read_cloud_file
-from torchjoint.runtime.archives import read_archive
+from torchjoint.runtime.archives import read_archive, read_npy
 
 
 def declared(path, shape, content=b""):
@@ -77,3 +79,16 @@ def test_two_arrays_of_one_name(tmp_path, names):
             archive.writestr(name, content.getvalue())
     with pytest.raises(ValueError, match=r"a\.npz: .* array 'points' is there twice"):
         read_archive(tmp_path / "a.npz")
+
+
+def test_a_thread_that_reads_hides_no_warning_of_another(tmp_path, monkeypatch):
+    """All were ignored, also after several threads had read arrays, and for good."""
+    np.save(tmp_path / "a.npy", np.zeros((9, 3)))
+
+    def read(*_, **__):
+        warnings.warn("of another thread", stacklevel=1)
+        return np.zeros(3)
+
+    monkeypatch.setattr(np.lib.format, "read_array", read)
+    with suppress(ValueError), pytest.warns(UserWarning, match="another"):
+        read_npy(tmp_path / "a.npy")

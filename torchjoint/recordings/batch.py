@@ -286,5 +286,4 @@ def _sorted_out(job: Job, tables: Tables, found: dict[str, Path]) -> tuple[dict[
     for name in sorted(earlier.keys() & {one.name for one in job.out.iterdir()} - found.keys()):
         with suppress(OSError, ValueError, TypeError):  # its result is damaged
             tables.others[name] = report(name)
-    todo = {name: path for name, path in found.items() if name not in skipped}
-    return todo, tuple(name for name in skipped if name in tables.reports)
+    return {name: path for name, path in found.items() if name not in skipped}, tuple(tables.reports)

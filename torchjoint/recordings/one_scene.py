@@ -19,6 +19,7 @@ from torchjoint.results.output_folder import own_files
 from torchjoint.runtime.foreign_files import has_file, is_there
 from torchjoint.runtime.memory import as_bytes, peak_memory, reset_peak_memory
 from torchjoint.runtime.outputs import BusyError
+from torchjoint.runtime.threads import one_at_a_time
 
 #: If another worker writes the result: seconds between checks whether it is done, and longest wait, seconds. A worker
 #: that lost its connection continues for a while, although its scene was given to another worker.
@@ -61,15 +62,16 @@ class Job:
 def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
     """Segments a recording, unless its result exists already; waits while another worker writes the result.
 
-    The tasks that a machine runs at a time share the default memory for frames.
+    Threads of one process work one after another. The tasks that a machine runs at a time share the default memory for
+    frames.
     """
     name, path = scene
     tasks_on_machine = job.tasks_on_machine or max(1, joblib.cpu_count() // torch.get_num_threads())
     out, memory = job.out / name, as_bytes(None) // tasks_on_machine
     end = time.monotonic() + PATIENCE
-    reset_peak_memory()
-    with warnings.catch_warnings(record=True) as caught:
+    with one_at_a_time, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        reset_peak_memory()
         while job.overwrite or not is_done(out):
             try:
                 segment = partial(segment_recording, path, out, job.config, job.options, memory=memory)

@@ -37,7 +37,7 @@ def find_recordings(scenes: str | Path | Iterable[str | Path]) -> dict[str, Path
         ValueError: there is no recording, a pattern matches nothing, or a list cannot be read or names itself.
     """
     given = [scenes] if isinstance(scenes, str | Path) else list(scenes)
-    found = {path.absolute(): path for one in given for path in _expanded(one)}
+    found = {path.parent.resolve() / path.name: path for one in given for path in _expanded(one)}
     if not found:
         raise ValueError("scenes: expected at least one recording, got none")
     return _named([*found.values()])

@@ -33,7 +33,7 @@ from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.memory import as_bytes
 from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.outputs import check_no_input
-from torchjoint.runtime.threads import on_cpu
+from torchjoint.runtime.threads import on_cpu, one_at_a_time
 from torchjoint.scene import Frame, Scene, Segmentation
 from torchjoint.scene.checks import as_direction
 from torchjoint.scene.frame import PoseDoubt, PoseWarning
@@ -319,7 +319,7 @@ def run(
 def _poses_must_fit() -> Iterator[None]:
     """Poses that look wrong end the run: its labels would look right, and be wrong."""
     try:
-        with warnings.catch_warnings():
+        with one_at_a_time, warnings.catch_warnings():
             warnings.simplefilter("error", PoseWarning)
             warnings.simplefilter("default", PoseDoubt)
             yield

@@ -238,7 +238,7 @@ def _label_mesh(source: Path, out: Path, result: Result, name: str) -> None:
     with damage_is(str(source)):
         of_vertex = nearest_labels(result, mesh.points)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it has been told of the vertices
+            warnings.filterwarnings("ignore", r"\d+ of \d+ vertices are farther")  # it has been told
             of_face = None if mesh.faces is None else nearest_labels(result, mesh.points[mesh.faces].double().mean(1))
         if out.suffix.lower() == ".glb":
             _write_glb(out, mesh, of_face, result)

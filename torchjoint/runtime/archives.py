@@ -2,7 +2,6 @@
 
 import math
 import os
-import warnings
 import zipfile
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -70,9 +69,7 @@ def read_npy(path: Path) -> npt.NDArray[Any]:
     with (
         open_file(path, "an array of numbers, .npy") as stream,
         damage_is(f"{path}: not a whole .npy array of numbers"),
-        warnings.catch_warnings(),
     ):
-        warnings.simplefilter("ignore")  # about headers of Python 2, or of old numpy
         check_header(stream, os.fstat(stream.fileno()).st_size, "array")
         stream.seek(0)
         array: npt.NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)

@@ -24,7 +24,7 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar, copy_context
 from functools import lru_cache
 from pathlib import Path
-from threading import Lock
+from threading import Lock, RLock
 from typing import Any, TypeVar, overload
 
 import torch
@@ -32,6 +32,8 @@ import torch
 T = TypeVar("T")
 R = TypeVar("R")
 
+#: Held while the warnings of a recording are caught or are errors, because that counts for all threads of a process.
+one_at_a_time = RLock()
 _workers: ContextVar[int | None] = ContextVar("torchjoint_workers", default=None)
 if hasattr(os, "register_at_fork"):  # not on Windows
     os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
