@@ -42,28 +42,26 @@ def read_raster(path: Path, *, header_only: bool = False) -> Image.Image:
 def decode_image(data: bytes, name: str, *, header_only: bool = False, kinds: tuple[str, ...] = RASTERS) -> Image.Image:
     """Decodes an image file's bytes (or only its header); errors begin with `name`."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the check below is stricter
-            image = Image.open(io.BytesIO(data), formats=kinds)
-            bounds.check_pixels(image.height, image.width)
-            if image.format == "PPM" and isinstance(to := image.tile[0].args, tuple) and to[1] not in (0, 255, 65535):
-                raise ValueError(f"expected 255 or 65535 as its largest number, got {to[1]}: Pillow scales others")
-            bounds.check(len(image.info.get("exif", b"")), bounds.EXIF_BYTES, "bytes of EXIF")
-            scans = data.count(b"\xff\xda") if image.format == "JPEG" else 0
-            bounds.check(scans * image.width * image.height, bounds.SCANNED, "pixels in all scans")
-            if not header_only:
-                if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
-                    Image.open(io.BytesIO(data), formats=("PNG",)).verify()
-                if data[:2] == b"\xff\xd8" and data.endswith(bytes(64)) and data.rstrip(b"\0")[-2:] != b"\xff\xd9":
-                    raise ValueError("its end is lost, there are zeros in its place")
-                how = str([tile.args for tile in image.tile])
-                image.load()
-                image.info["step"] = 85 if "L;2" in how else 17 if "L;4" in how else 1  # Pillow stretches to 255
-                deep = {"RGB": 3, "RGBA": 3, "LA": 1}.get(image.mode, 0) if re.search(";16B|65535", how) else 0
-                if deep and (top := int(np.asarray(image)[..., :deep].max())) < DARK:
-                    raise ValueError(f"expected colours up to 65535, got less than {256 * (top + 1)}; make them 8 bits")
+        image = Image.open(io.BytesIO(data), formats=kinds)
+        bounds.check_pixels(image.height, image.width)
+        if image.format == "PPM" and isinstance(to := image.tile[0].args, tuple) and to[1] not in (0, 255, 65535):
+            raise ValueError(f"expected 255 or 65535 as its largest number, got {to[1]}: Pillow scales others")
+        bounds.check(len(image.info.get("exif", b"")), bounds.EXIF_BYTES, "bytes of EXIF")
+        scans = data.count(b"\xff\xda") if image.format == "JPEG" else 0
+        bounds.check(scans * image.width * image.height, bounds.SCANNED, "pixels in all scans")
+        if not header_only:
+            if image.format == "PNG":  # Pillow compares the checksums of pixels only if it is asked to
+                Image.open(io.BytesIO(data), formats=("PNG",)).verify()
+            if data[:2] == b"\xff\xd8" and data.endswith(bytes(64)) and data.rstrip(b"\0")[-2:] != b"\xff\xd9":
+                raise ValueError("its end is lost, there are zeros in its place")
+            how = str([tile.args for tile in image.tile])
+            image.load()
+            image.info["step"] = 85 if "L;2" in how else 17 if "L;4" in how else 1  # Pillow stretches to 255
+            deep = {"RGB": 3, "RGBA": 3, "LA": 1}.get(image.mode, 0) if re.search(";16B|65535", how) else 0
+            if deep and (top := int(np.asarray(image)[..., :deep].max())) < DARK:
+                raise ValueError(f"expected colours up to 65535, got less than {256 * (top + 1)}; make them 8 bits")
     except (OSError, SyntaxError, ValueError, TypeError, EOFError, OverflowError, MemoryError, struct.error,
-            Image.DecompressionBombError, zlib.error) as error:  # fmt: skip
+            Image.DecompressionBombError, Image.DecompressionBombWarning, zlib.error) as error:  # fmt: skip
         # Pillow's own message names the buffer in memory.
         reason = f"expected one of {', '.join(kinds)}" if isinstance(error, UnidentifiedImageError) else error
         raise ValueError(f"{name}: not a whole image: {reason}") from error
