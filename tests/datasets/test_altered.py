@@ -313,7 +313,12 @@ def test_segments_that_the_mesh_lacks(name, objects, sample, tmp_path):
 
 
 OF_FOLDER = ("cloud.truth.npy", "*0.truth.png", "*0.color.jpg", "*0.pose.txt", "*0.depth.png", "camera-*.txt")
-OTHERS = [("s3dis", "Annotations/chair_1.txt"), ("scannet", "*.sens"), ("scannet", "*.aggregation.json")]
+OTHERS = [
+    ("s3dis", "Annotations/chair_1.txt"),
+    ("scannet", "*.sens"),
+    ("scannet", "*.aggregation.json"),
+    ("arkitscenes", "*_annotation.json"),
+]
 
 
 @pytest.mark.parametrize(("name", "kind"), [*OTHERS, *(("folder", kind) for kind in OF_FOLDER)])

@@ -109,7 +109,7 @@ class TestSam:
     def test_class_names(self):
         """As Grounded SAM and Semantic Segment Anything write them; the former with a score of its own."""
         first, second = sam_records()
-        assert tj.masks.from_sam([first | {"class_name": "cup"}, second]).names == ("cup", "")
+        assert tj.masks.from_sam([first | {"class_name": "cup"}, second | {"class_name": None}]).names == ("cup", "")
         scored = [
             {"segmentation": one["segmentation"], "score": score} for one, score in ((first, [0.7]), (second, 0.5))
         ]
@@ -320,8 +320,10 @@ class TestFiles:
         table.write_text("id,area,predicted_iou,stability_score\n2,4,nan,0.8\n10,4,1.02,1.0\n")
         with pytest.raises(ValueError, match=rf"{re.escape(str(tmp_path))}: .*' scores"):
             tj.masks.read_masks(tmp_path)
-        (tmp_path / "02.png").write_bytes((tmp_path / "2.png").read_bytes())
         table.unlink()
+        (tmp_path / "._2.png").write_bytes(b"of macOS")
+        assert len(tj.masks.read_masks(tmp_path)) == 2
+        (tmp_path / "02.png").write_bytes((tmp_path / "2.png").read_bytes())
         with pytest.raises(ValueError, match="mask 2 is there twice"):
             tj.masks.read_masks(tmp_path)
 

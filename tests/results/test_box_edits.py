@@ -586,6 +586,9 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     write([rows[2] | {"name": "shed", "id": "2.0", "points": rows[2]["points"] + ".0"}])  # of pandas
     run("edits", "import", out, table)
     assert tj.load_result(out).segment_names[2] == "shed"
+    write([rows[2] | {"name": "'n Ding"}])  # an apostrophe of its own
+    run("edits", "import", out, table)
+    assert tj.load_result(out).segment_names[2] == "'n Ding"
     for wrong, told in (
         ({"points": "3"}, "the table says 3"),
         ({"points": "3.0"}, "the table says 3;"),
@@ -617,7 +620,7 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
         feature["properties"]["name"] = name
     outlines.write_text(json.dumps(features))
     run("edits", "import", out, outlines)
-    assert tj.load_result(out).segment_names == {0: "barn", 2: "shed"}
+    assert tj.load_result(out).segment_names == {0: "barn", 2: "'n Ding"}
     features["features"][2]["properties"] |= {"name": "hut", "points": 3}
     outlines.write_text(json.dumps(features))
     with pytest.raises(SystemExit, match=r"outlines\.geojson: row 3: 'hut': segment 2: .*the table says 3"):

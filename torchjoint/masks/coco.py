@@ -105,7 +105,7 @@ class CocoFile:
             annotations = _with_pixels(data["annotations"], str(path))
             for annotation in annotations:
                 self._annotations[annotation["image_id"]].append(annotation)
-            named = [(one["id"], str(one["name"])) for one in data.get("categories", []) if "name" in one]
+            named = [(one["id"], str(one["name"])) for one in data.get("categories", []) if one.get("name") is not None]
             self._categories = dict_of(named, "category")
             unknown = {one["category_id"] for one in annotations if "category_id" in one} - set(self._categories)
         known = ((one["image_id"], one["id"]) for one in annotations if one.get("id") is not None)

@@ -26,7 +26,7 @@ from torchjoint.scene.masks import Masks
 from torchjoint.scene.scene import evenly_spaced_indices
 
 #: The files that :func:`read_masks` reads, besides folders.
-SUFFIXES, PNGS = (".png", ".npz", ".json"), "*.[pP][nN][gG]"
+SUFFIXES, PNGS = (".png", ".npz", ".json"), "[!.]*.[pP][nN][gG]"
 #: Scores in a folder of PNGs, as SAM's command line writes them: columns id, predicted_iou, stability_score.
 METADATA = "metadata.csv"
 #: A mask of a larger share of its image is hardly that of a thing.

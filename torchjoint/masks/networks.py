@@ -65,7 +65,7 @@ def _score(record: Mapping[str, Any], name: str) -> float:
 
 
 def _names(records: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    names = tuple(str(record.get("class_name", "")) for record in records)
+    names = tuple(str(record.get("class_name") or "") for record in records)
     return names if any(names) else ()
 
 

@@ -175,8 +175,7 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
     if (suffix := file.suffix.lower()) not in (".csv", ".geojson"):
         return None
     if suffix == ".geojson":
-        features = read_record(file, "footprints of segments").records("features")
-        rows = [feature.record("properties").values for feature in features]
+        rows = [one.record("properties").values for one in read_record(file, "footprints").records("features")]
     else:
         text = read_text(file, "a table of segments (save it as CSV UTF-8)", bounds.JSON_BYTES)
         rows = csv.DictReader(io.StringIO(text), delimiter=max(",;", key=text.partition("\n")[0].count))
@@ -187,10 +186,11 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
             if not {"id", "name", "points"} <= row.keys():
                 raise ValueError(f"expected id, name and points of `export`, got {', '.join(map(str, row))[:100]}")
             segment, points = (_count(str(row[column])) for column in ("id", "points"))
-            name = printable(str(row["name"] or "").strip()).removeprefix("'")  # csv_text's, before what is computed
-            if name in ("", no_formula(result.segment_names.get(segment, "")).strip().removeprefix("'")):
+            name, before = printable(str(row["name"] or "").strip()), result.segment_names.get(segment, "").strip()
+            if name in ("", before, no_formula(before)):
                 emptied += not name and segment in result.segment_names
                 continue
+            name = name[1:] if no_formula(name[1:]) == name else name  # csv_text's, before what is computed
             told = f"row {number}: {name!r}: segment {str(row['id'])[:20]}"
             if segment not in sizes:
                 raise ValueError(f"{told}: expected the id of a segment; is it a table of another result?")

@@ -37,6 +37,7 @@ def keys(**values):
             5555,
         ),
         (WktCoordinateSystemVlr(f'COMPD_CS["both",{UTM}],{HEIGHT}]'), None),
+        (laspy.VLR("LASF_Projection", 2112, "", f'{UTM}, "ü",AUTHORITY["EPSG","32632"]]'.encode("latin-1")), 32632),
         (WktCoordinateSystemVlr('PROJCRS["UTM", CONVERSION["x",ID["EPSG",16032]], ID["EPSG", 32633]]\n'), 32633),
         (WktCoordinateSystemVlr('GEOGCS["WGS 84",AUTHORITY["EPSG","4326"]]'), 4326),
         (WktCoordinateSystemVlr(f"{UTM}]"), None),  # of its own; its parts have codes
@@ -73,6 +74,7 @@ def las(path, record):
         (keys(k1024=1, k3072=32632, k3076=9001, k4099=9003), True),  # only heights
         (keys(k1024=1, k3072=32767, k3076=1025), True),
         (WktCoordinateSystemVlr(f"{UTM}]"), False),
+        (WktCoordinateSystemVlr('PROJCS["x", GEOGCS["y"], UNIT["Meter", 1.0]]'), False),
         (WktCoordinateSystemVlr('PROJCS["x",GEOGCS["y",UNIT["Degree",0.017453]],UNIT["Meter",1.0]]'), False),
         (WktCoordinateSystemVlr('PROJCRS["x",CS[Cartesian,2],ANGLEUNIT["degree",0.0174],LENGTHUNIT["m",1]]'), False),
         (keys(k1024=1, k3072=2056, k3076=9001, k4099=9001), False),

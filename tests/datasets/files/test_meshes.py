@@ -350,3 +350,15 @@ def test_vertices_of_an_obj_at_one_place(tmp_path):
     (tmp_path / "a.obj").write_text(f"{square}{square}f 1 2 3 4\nf 5/1 6/2 7/3 \\\n 8/4\nf -4 -3 -2\n")
     faces = read_cloud_file(tmp_path / "a.obj").faces
     assert faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7], [4, 5, 6]]
+
+
+def test_a_programs_own_use_of_the_library_stays(tmp_path):
+    Image.new("RGB", (4, 4), RED).save(tmp_path / "a.gif")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd a.gif\n")
+    bare = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
+    (tmp_path / "bare.obj").write_text(bare)
+    (tmp_path / "a.obj").write_text(f"mtllib a.mtl\n{bare.replace('f ', 'usemtl a' + chr(10) + 'f ')}")
+    read_cloud_file(tmp_path / "bare.obj")
+    assert trimesh.load(tmp_path / "a.obj").visual.material.image.size == (4, 4)
+    assert trimesh.load(tmp_path / "bare.obj").visual.kind == "texture"
+    assert trimesh.visual.color.to_rgba(np.array([[255, 0, 0]], np.uint16)).tolist() == [[255, 0, 0, 255]]

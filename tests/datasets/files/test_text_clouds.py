@@ -212,3 +212,11 @@ def test_a_label_behind_six_columns_of_a_pts(tmp_path):
     with pytest.raises(ValueError, match=r"7 columns of a \.pts are x y z intensity r g b; give -o NAME\.xyz"):
         text_clouds.with_column(tmp_path / "a.pts", "label", [5, 6])
     assert text_clouds.with_column(tmp_path / "a.pts", "label", [5, 6], Path("b.xyz")).endswith(b"1 1 1 11 20 30 6\n")
+
+
+def test_decimal_commas_between_commas(tmp_path):
+    rows = np.random.default_rng(0).integers(0, 999, (20, 6))
+    text = "\n".join("{},{:03},{},{:03},{},{:03}".format(*row) for row in rows)
+    (tmp_path / "a.txt").write_text(text)
+    with pytest.raises(ValueError, match=r"a\.txt: line 1: expected decimal points, got commas in '849,636,"):
+        read_cloud_file(tmp_path / "a.txt")

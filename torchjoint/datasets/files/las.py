@@ -36,12 +36,13 @@ CHUNK = 1_000_000
 HEADER, RECORD = 227, 54
 #: Keys of GeoTIFF: the projected coordinate system, the geographic one, and their value if the code is not EPSG's.
 PROJECTED, GEOGRAPHIC, USER_DEFINED = 3072, 2048, 32767
-#: Keys of the kind of coordinates, 2 for degrees, and of the units of lengths and of heights; codes of metres, or none.
-MODEL, UNITS, METRES = 1024, (3076, 4099), (0, 9001, USER_DEFINED)
+#: Keys of the kind of coordinates, 2 for degrees, and of the units of lengths and of heights; codes of metres, or none;
+#: and the record of WKT.
+MODEL, UNITS, METRES, WKT = 1024, (3076, 4099), (0, 9001, USER_DEFINED), ("LASF_Projection", 2112)
 #: EPSG's codes in feet: NAD83, by states of the US; heights, NAVD88; the key of the system of heights.
 IN_FEET, HEIGHTS_IN_FEET, VERTICAL = range(2222, 2290), (6360, 8228), 4096
 #: In WKT, a unit that is neither an angle nor 1 metre.
-_NO_METRE = re.compile(r'\b(LENGTH)?UNIT\["(?![^"]*(deg|grad|rad|gon|arc|dms))[^"]*",\s*(?!1(\.0*)?\s*[],])', re.I)
+_NO_METRE = re.compile(r'\b(LENGTH)?UNIT\["(?![^"]*(deg|grad|rad|gon|arc|dms))[^"]*",(?!\s*1(\.0*)?\s*[],])', re.I)
 #: The process that imported this module. One that is forked from it lacks the threads that lazrs waits for.
 _PROCESS = os.getpid()
 #: Set in the point format's number if the points are compressed.
@@ -96,8 +97,9 @@ def tell_unit(reader: Any, path: Path) -> bool:
 def _system(reader: Any) -> tuple[str, dict[int, int]]:
     """The coordinate system of an open file: WKT, or else empty, and GeoTIFF keys."""
     records = [*reader.header.vlrs, *(reader.evlrs or ())]
-    text = next((one.string for one in records if type(one).__name__ == "WktCoordinateSystemVlr"), "")
-    return text, {key.id: key.value_offset for one in records for key in getattr(one, "geo_keys", ())}
+    # Not laspy's text: it reads no Latin-1.
+    texts = (str(one.record_data_bytes(), "utf-8", "replace") for one in records if (one.user_id, one.record_id) == WKT)
+    return next(texts, ""), {key.id: key.value_offset for one in records for key in getattr(one, "geo_keys", ())}
 
 
 def check_no_copc(out: Path) -> None:

@@ -6,11 +6,13 @@ import os
 import re
 import struct
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar, copy_context
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, BinaryIO
 from urllib.parse import unquote
 
 import numpy as np
@@ -37,6 +39,8 @@ _NORMALS = re.compile(rb'^[ \t]*vn\s|"NORMAL"|^(ST)?C?NC?OFF', re.MULTILINE)
 _STILL = {"offset": [0, 0], "scale": [1, 1], "rotation": 0, "texCoord": 0}
 #: The types of numbers of which trimesh reads these: 8 bits, 16 bits, floating.
 _KINDS = {"COLOR_0": (5121, 5123, 5126), "TEXCOORD_0": (5126,)}
+#: The parts of our file that is read, if one is: a program's own use of trimesh stays as it is.
+_READS = ContextVar[Any]("_READS", default=None)
 #: Chunks of a .glb.
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
@@ -93,7 +97,8 @@ def scene_of(data: bytes, path: Path) -> Any:
     bound_textures()
     if kind in ("gltf", "glb"):
         check_gltf(data, parts, str(path))
-    loaded = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=parts, process=False)  # type: ignore[arg-type]  # it only gets
+    (context := copy_context()).run(_READS.set, parts)
+    loaded = context.run(trimesh.load_scene, io.BytesIO(data), kind, parts, process=False)  # type: ignore[arg-type]  # it only gets
     if parts.error is not None:
         raise parts.error
     return loaded
@@ -129,8 +134,9 @@ def _color_twice(part: Any) -> None:
     own = getattr(part.visual, "vertex_attributes", {}).get("color")
     if own is not None:
         of_material = _of_material(part.visual, len(part.vertices))[:, :3]
-        part.visual = type(part)(part.vertices, part.faces, vertex_colors=own, process=False).visual
-        part.visual.vertex_colors = (of_material * (part.visual.vertex_colors[:, :3] / 255)).round().astype(np.uint8)
+        shares = own[:, :3] / (1 if own.dtype.kind == "f" else np.iinfo(own.dtype).max)
+        both = (of_material * shares.clip(0, 1)).round().astype(np.uint8)
+        part.visual = type(part)(part.vertices, part.faces, vertex_colors=both, process=False).visual
 
 
 def _of_material(visual: Any, count: int) -> Array:
@@ -141,9 +147,7 @@ def _of_material(visual: Any, count: int) -> Array:
     if not has_texture and not hasattr(material, "baseColorFactor"):
         return np.tile(material.main_color, (count, 1))
     colors = np.asarray(visual.to_color().vertex_colors) if has_texture else np.full((count, 4), 255, np.uint8)
-    if factor is None:
-        return colors
-    linear = np.asarray(factor) / 255  # glTF: factors are linear, textures and vertices are not
+    linear = np.asarray([255] * 4 if factor is None else factor) / 255  # in glTF only factors are linear
     curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return (colors * curved).round().astype(np.uint8)
 
@@ -217,39 +221,36 @@ class MeshParts:
         #: The first file that is there and cannot be read: trimesh goes on without colours.
         self.error: ValueError | None = None
         self._pixels = 0
-        self._names: set[str] = set()
 
     def __getitem__(self, name: str) -> bytes:
         """The bytes of a file."""
         try:
-            data = self._read(name)
-            # A library of materials is read once; the second time it is named as a texture.
-            is_library = name.strip().lower().endswith(".mtl") and name not in self._names
-            self._names.add(name)
-            if self._path.suffix.lower() == ".obj" and not is_library:
-                self.texture(data, str(self._path.parent / name))
+            return self._read(name)
         except FileNotFoundError:
             warnings.warn(f"{self._path}: {name}: missing in its folder; colours of it are not read", stacklevel=2)
             raise
         except ValueError as error:
             self.error = self.error or error
             raise
-        return data
 
     get = __getitem__
 
-    def texture(self, data: bytes, name: str) -> Image.Image:
+    def texture(self, file: BinaryIO, what: str = "texture") -> Image.Image:
         """Decodes a texture, and bounds the sum of all of them; errors as of :func:`decode_image`."""
-        image = decode_image(data, name, kinds=TEXTURES)
-        self._pixels += image.width * image.height
-        bounds.check(self._pixels, bounds.TEXTURES, "pixels in all textures", name)
+        try:
+            image = decode_image(file.read(), f"{self._path}: {what}", kinds=TEXTURES)
+            self._pixels += image.width * image.height
+            bounds.check(self._pixels, bounds.TEXTURES, "pixels in all textures", str(self._path))
+        except ValueError as error:
+            self.error = self.error or error
+            raise
         return image
 
     def images(self, tree: dict[str, Any], views: Sequence[bytes]) -> list[Image.Image]:
         """The images of a .gltf or .glb, of the bytes that trimesh has found for them."""
         images = tree.get("images", ())
         found = [views[one["bufferView"]] if "bufferView" in one else _content(one, self) for one in images]
-        return [self.texture(data, f"{self._path}: image {index}") for index, data in enumerate(found)]
+        return [self.texture(io.BytesIO(data), f"image {index}") for index, data in enumerate(found)]
 
     def _read(self, name: str) -> bytes:
         for candidate in (name.strip(), unquote(name.strip()), name.strip().lstrip("/"), os.path.split(name)[-1]):
@@ -263,28 +264,25 @@ class MeshParts:
 
 
 def bound_textures() -> None:
-    """Makes trimesh decode textures with our decoder: Pillow would choose it by their content.
+    """Makes trimesh read our files otherwise. It decodes textures with our decoder: Pillow would go by their content.
 
-    And makes it divide colours of 16 bits, of which it takes the low byte.
+    And it divides colours of 16 bits, of which it takes the low byte.
     """
     from trimesh.exchange import gltf, obj
     from trimesh.visual import color
-    from trimesh.visual.texture import TextureVisuals
 
-    original = vars(color).setdefault("to_rgba_of_trimesh", color.to_rgba)
+    def in_ours(module: Any, name: str, ours: Callable[..., Any]) -> None:
+        theirs = vars(module).setdefault(f"{name}_of_trimesh", vars(module)[name])
+        vars(module)[name] = lambda *one, **two: (partial(ours, theirs) if _READS.get() else theirs)(*one, **two)
 
-    def to_rgba(colors: Any, dtype: Any = np.uint8) -> Any:
-        return original(colors / 65535 if getattr(colors, "dtype", None) == np.uint16 else colors, dtype)
+    def to_rgba(theirs: Callable[..., Any], colors: Any, dtype: Any = np.uint8) -> Any:
+        return theirs(colors / 65535 if getattr(colors, "dtype", None) == np.uint16 else colors, dtype)
 
-    vars(color)["to_rgba"] = to_rgba
-
-    others = vars(gltf).setdefault("textures_of_trimesh", vars(gltf)["_parse_textures"])
-    vars(gltf)["_parse_textures"] = lambda tree, views, resolver=None: (
-        resolver.images(tree, views) if isinstance(resolver, MeshParts) else others(tree, views, resolver)
-    )
-    vars(obj)["Image"] = SimpleNamespace(open=lambda stream: decode_image(stream.read(), "texture", kinds=TEXTURES))
+    in_ours(color, "to_rgba", to_rgba)
+    in_ours(gltf, "_parse_textures", lambda _, tree, views, parts: parts.images(tree, views))
+    vars(obj)["Image"] = SimpleNamespace(open=lambda file: getattr(_READS.get(), "texture", Image.open)(file))
     # A part with places in a texture, but without a material, has no colour; trimesh would make it grey.
-    vars(obj)["TextureVisuals"] = lambda uv, material=None: None if material is None else TextureVisuals(uv, material)
+    in_ours(obj, "TextureVisuals", lambda theirs, uv, material=None: material and theirs(uv, material))
 
 
 def check_obj(data: bytes, name: str) -> None:

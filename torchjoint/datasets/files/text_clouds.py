@@ -138,7 +138,8 @@ def _numbers(text: bytes, first: int, path: Path) -> Array:
     delimiter = next((mark for mark in (";", ",") if mark.encode() in line), None)
     if delimiter == ";" and b"," in (line if b"." in text else text):
         text = text.replace(b",", b".")  # decimal commas
-    elif delimiter == "," and _DECIMAL_COMMAS.match(line):
+    # 1,05,2,5,3,25: whole numbers do not begin with 0
+    elif delimiter == "," and (_DECIMAL_COMMAS.match(line) or (b"." not in text and re.search(rb",0\d", text))):
         raise ValueError(f"{path}: line {first}: expected decimal points, got commas in {_shown(line)}; replace them")
     if delimiter and line.rstrip().endswith(delimiter.encode()):
         text = re.sub(rb"[;,][ \t]*(?=\n|$)", b"", text)

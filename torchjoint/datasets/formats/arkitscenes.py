@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchjoint.datasets.cameras import Camera, interpolate_poses, invert_pose, pinhole
 from torchjoint.datasets.files.text import numbers_of, parse_numbers, read_record, read_rows, read_timed_rows
-from torchjoint.datasets.recording import Options, Shot, posed, read_shots, scene_of_frames, tell_lost
+from torchjoint.datasets.recording import Options, Shot, posed, read_shots, scene_of_frames, tell_lost, without_case
 from torchjoint.datasets.truth import instances_in_boxes
 from torchjoint.runtime.foreign_files import has_file, has_folder
 from torchjoint.runtime.threads import LazySequence
@@ -41,7 +41,7 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     folder, clouds = _frames_folder(path), [path / f"{path.name}_3dod_mesh.ply"]
-    annotation = partial(_instances, path / f"{path.name}_3dod_annotation.json")
+    annotation = partial(_instances, without_case(path / f"{path.name}_3dod_annotation.json"))
     return scene_of_frames(path, _read_frames(folder), options, clouds, instances=annotation)
 
 
