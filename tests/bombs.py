@@ -254,6 +254,13 @@ BOMBS: dict[str, Bomb] = {
     "mesh at many places": Bomb(
         "sum", ".gltf", gltf(3000, 20000, bytes(36000)), read_cloud_file, "values in all places of meshes"
     ),
+    "nodes in each other": Bomb(
+        "depth",
+        ".gltf",
+        gltf(3, 1, bytes(36), nodes=[{"mesh": 0, "children": [at]} for at in range(1, 3000)] + [{"mesh": 0}]),
+        read_cloud_file,
+        "nodes above meshes",
+    ),
     "image of a mesh": Bomb(
         "program",
         ".gltf",

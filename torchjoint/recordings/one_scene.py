@@ -66,9 +66,8 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
     frames.
     """
     name, path = scene
-    tasks_on_machine = job.tasks_on_machine or max(1, joblib.cpu_count() // torch.get_num_threads())
-    out, memory = job.out / name, as_bytes(None) // tasks_on_machine
-    end = time.monotonic() + PATIENCE
+    memory = as_bytes(None) // (job.tasks_on_machine or max(1, joblib.cpu_count() // torch.get_num_threads()))
+    out, end = job.out / name, time.monotonic() + PATIENCE
     with one_at_a_time, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         reset_peak_memory()
@@ -96,12 +95,8 @@ def check_origin(job: Job, name: str, path: Path) -> tuple[str, ...]:
     origin = read_origin(out)
     files = fingerprint(path, own_files(out)) if is_there(path) and origin.fingerprint else origin.fingerprint
     asked = Origin(str(path.absolute()), files, version("torchjoint"), job.config, job.options.record(job.config))
-    other = [
-        "options or models" if field == "made" else field
-        for field, one, two in zip(Origin._fields, asked, origin, strict=True)
-        if one != two
-    ]
-    if other:
+    pairs = zip(Origin._fields, asked, origin, strict=True)
+    if other := ["options or models" if field == "made" else field for field, one, two in pairs if one != two]:
         told = f"{out}: expected the result of {asked.scene}, got that of {origin.scene}"
         raise ValueError(f"{told}; other {', '.join(other)}; choose another folder, or --overwrite")
     return check_sizes(out)

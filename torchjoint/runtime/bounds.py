@@ -31,8 +31,9 @@ ELEMENTS, PROPERTIES = 256, 4096
 LIST_ROWS = 1 << 24
 #: Values of the vertices and triangles of a mesh that stands at many places, beyond POINTS_PER_BYTE.
 INSTANCED = 16_000_000
-#: Pixels of all textures of a mesh together; and its vertices times its materials, each of which takes all vertices.
-TEXTURES, MATERIAL_STEPS = 1 << 29, 1 << 31
+#: Pixels of all textures of a mesh together; its vertices times its materials, each of which takes all vertices; and
+#: the nodes above its parts, which are as many steps for each of them.
+TEXTURES, MATERIAL_STEPS, NODE_STEPS = 1 << 29, 1 << 31, 1 << 21
 #: Corrections of a result times levels at which names were given: at each level all corrections are applied.
 LEVEL_STEPS = 1 << 20
 #: Files of a recording that are looked through for changes.

@@ -307,6 +307,7 @@ def check_gltf(data: bytes, parts: MeshParts, name: str) -> None:
         raise ValueError("expected at most one buffer without uri, whose bytes are the second chunk of the file")
     buffers = [_content(one, parts) if "uri" in one else chunks[1][1] for one in given]
     _check_numbers(tree, sum(map(len, buffers)) + len(data))
+    _check_ways(tree.get("nodes", ()))
     _check_kinds(tree, name)
 
 
@@ -356,6 +357,16 @@ def _check_numbers(tree: dict[str, Any], size: int) -> None:
     most = bounds.POINTS_PER_BYTE * size + bounds.INSTANCED
     bounds.check(sum(sizes), most, "values in all meshes")
     bounds.check(placed, most, "values in all places of meshes")
+
+
+def _check_ways(nodes: Sequence[dict[str, Any]]) -> None:
+    """Checks how many nodes stand above meshes, each as often as trimesh walks by it."""
+    parent = {child: at for at, node in enumerate(nodes) for child in node.get("children", ())}
+    below, steps = [at for at, node in enumerate(nodes) if "mesh" in node], 0
+    while below:
+        steps += len(below)
+        bounds.check(steps, bounds.NODE_STEPS, "nodes above meshes")
+        below = [parent[at] for at in below if at in parent]
 
 
 def _accessors(primitive: dict[str, Any]) -> list[int]:
