@@ -48,6 +48,26 @@ def test_a_forked_process_has_one_thread():  # with more, it would wait for thre
     assert torch.get_num_threads() == COUNT
 
 
+def can_take_it():
+    return threads.one_at_a_time.acquire(timeout=1)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_process_that_is_forked_while_another_thread_has_its_turn():
+    inside, end = threading.Event(), threading.Event()
+
+    def segment():
+        with threads.one_at_a_time:
+            inside.set()
+            end.wait(PATIENCE)
+
+    with ThreadPoolExecutor(1) as others, ProcessPoolExecutor(1, mp_context=get_context("fork")) as pool:
+        others.submit(segment)
+        inside.wait(PATIENCE)
+        assert pool.submit(can_take_it).result()
+        end.set()
+
+
 def overlapping(leaves_first):
     """Two callers: 0 enters, 1 enters, one of them leaves, the other one leaves. What each sees before each step."""
     steps = [threading.Barrier(2) for _ in range(5)]

@@ -37,6 +37,7 @@ one_at_a_time = RLock()
 _workers: ContextVar[int | None] = ContextVar("torchjoint_workers", default=None)
 if hasattr(os, "register_at_fork"):  # not on Windows
     os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
+    os.register_at_fork(after_in_child=one_at_a_time._at_fork_reinit)  # type: ignore[attr-defined]  # as in logging
 
 
 @contextmanager
