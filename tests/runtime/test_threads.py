@@ -64,8 +64,9 @@ def test_a_process_that_is_forked_while_another_thread_has_its_turn():
     with ThreadPoolExecutor(1) as others, ProcessPoolExecutor(1, mp_context=get_context("fork")) as pool:
         others.submit(segment)
         inside.wait(PATIENCE)
-        assert pool.submit(can_take_it).result()
+        taken = pool.submit(can_take_it).result()
         end.set()
+    assert taken
 
 
 def overlapping(leaves_first):
