@@ -15,7 +15,7 @@ import size
 
 #: What `import torchjoint` may not bring: they are imported where they are used.
 FORBIDDEN = ("kornia", "matplotlib", "scipy", "open3d")
-MOST_MODULES = 85
+MOST_MODULES = 86
 ROOT = report.HERE.parent
 
 IMPORT = """
@@ -84,6 +84,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     arguments = parser.parse_args()
     modules, found = loaded(), size.sizes()
+    of_segmenter = own(loaded("torchjoint.JointSegmenter"))
     of_python = [sum(values) for values in zip(*(one for name, one in found.items() if name != "C++"), strict=True)]
     unwanted = sorted({name.split(".")[0] for name in modules} & {*FORBIDDEN})
     rows = [
@@ -93,7 +94,7 @@ def main() -> None:
         ],
         ["`torchjoint --help`, s", statistics.median(seconds_of_help() for _ in range(arguments.runs))],
         ["own modules that `import torchjoint` loads", own(modules)],
-        ["own modules once `torchjoint.JointSegmenter` is named", own(loaded("torchjoint.JointSegmenter"))],
+        ["own modules once `torchjoint.JointSegmenter` is named", of_segmenter],
         [f"what it loads of {', '.join(FORBIDDEN)}", ", ".join(unwanted) or "nothing"],
         ["lines of Python code in `torchjoint/`, without blank ones, comments, docstrings", of_python[0]],
         ["files of Python in `torchjoint/`", of_python[1]],
@@ -106,7 +107,7 @@ def main() -> None:
         return
     print(report.markdown(report.as_json(table)))
     problems = size.beyond(found)
-    if own(modules) > MOST_MODULES or unwanted:
+    if of_segmenter > MOST_MODULES or unwanted:
         problems.append(f"expected at most {MOST_MODULES} own modules, none of {FORBIDDEN}")
     if problems:
         sys.exit("\n".join(problems))

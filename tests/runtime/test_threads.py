@@ -53,7 +53,7 @@ def can_take_it():
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_a_process_that_is_forked_while_another_thread_has_its_turn():
+def test_a_process_forked_while_a_thread_has_its_turn():
     inside, end = threading.Event(), threading.Event()
 
     def segment():
