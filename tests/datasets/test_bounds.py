@@ -99,12 +99,17 @@ def test_the_texture_of_a_mesh(tmp_path, no_program):
 @pytest.mark.parametrize("read", [read_cloud_file, read_labelled_cloud])
 def test_a_picture_in_a_chunk_that_the_spec_does_not_know(read, tmp_path, no_program):
     """trimesh counts a second chunk of bytes as a buffer: the last one of them."""
+    plain = bombs.png(4, 4, rows=bytes(20))
+    size = max(len(plain), len(bombs.EPS))
     tree = json.loads(bombs.gltf(3, 1, bytes(36)))
-    tree["buffers"] = [{"byteLength": 36}]
+    tree["buffers"] = [{"byteLength": size + 36}]
+    tree["bufferViews"] = [{"buffer": 0, "byteOffset": size, "byteLength": 36}, {"buffer": -1, "byteLength": size}]
     tree["images"] = [{"bufferView": 1, "mimeType": "image/png"}]
-    tree["bufferViews"].append({"buffer": -1, "byteLength": len(bombs.EPS)})
-    tree |= {"textures": [{"source": 0}], "materials": [{"emissiveTexture": {"index": 0}}]}
-    chunks = ((b"JSON", json.dumps(tree).encode()), (b"BIN\0", bytes(36)), (b"BIN\0", bombs.EPS))
+    tree |= {"textures": [{"source": 0}], "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
+    tree["accessors"].append({"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC2"})
+    tree["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "material": 0}]}]
+    binary = plain.ljust(size, b"\0") + bytes(36)
+    chunks = ((b"JSON", json.dumps(tree).encode()), (b"BIN\0", binary), (b"BIN\0", bombs.EPS.ljust(size)))
     content = b"".join(struct.pack("<I", len(data)) + kind + data for kind, data in chunks)
     (tmp_path / "a.glb").write_bytes(b"glTF" + struct.pack("<2I", 2, 12 + len(content)) + content)
     with traps.ends(), pytest.raises(ValueError, match="expected one of PNG, JPEG"):
