@@ -97,8 +97,11 @@ class TestSameLabels:
         scene, segmenter = synthetic.scene, tj.JointSegmenter()
         segmenter.reset(scene.points, scene.colors)
         segmenter.update(scene.frames[0])
-        with pytest.raises(TypeError, match="scene: expected a Scene"):
-            segmenter(scene.points)
+        for start in (segmenter, lambda points: next(segmenter.steps(points))):
+            with pytest.raises(TypeError, match="scene: expected a Scene"):
+                start(scene.points)
+        with pytest.raises(ValueError, match="batch_size: expected at least 1 frame, got 0"):
+            segmenter(scene, batch_size=0)
         assert len(segmenter.state.observations) == 1
         monkeypatch.setattr("torchjoint.joint.warn_of_rounding", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):

@@ -206,9 +206,8 @@ class JointSegmenter(nn.Module):
         Warns:
             PoseWarning: the poses or intrinsics look wrong.
         """
-        if not isinstance(scene, Scene):
-            raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
-        own = copy(self)  # of this call: several threads may call one segmenter
+        # Checked first: an error forgets no frames. The copy is of this call: several threads may call one segmenter.
+        scene, own = _checked(scene, batch_size), copy(self)
         self._given = self._graph = self._state = None  # one cloud at a time in memory
         for _ in own.steps(scene, progress=progress, batch_size=batch_size):
             pass
@@ -240,9 +239,7 @@ class JointSegmenter(nn.Module):
         Yields:
             the number of frames in the state, before the first batch and after each one.
         """
-        if not batch_size >= 1:
-            raise ValueError(f"batch_size: expected at least 1 frame, got {batch_size}")
-        checked = self._start(scene, resume)
+        checked = self._start(_checked(scene, batch_size), resume)
         done = len(self.state.observations)
         rest = range(done, len(scene.frames))
         batches = workers(self, scene) if workers else self._batches(scene.frames, rest, checked, batch_size)
@@ -458,6 +455,14 @@ class JointSegmenter(nn.Module):
     def _new_check(self, name: str = "") -> PoseCheck:
         graph = self.graph
         return PoseCheck(Cloud(graph.points, graph.colors), graph.spacing, self.config.visibility, graph.local, name)
+
+
+def _checked(scene: Scene, batch_size: int) -> Scene:
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a Scene, got {type(scene).__name__}; make one: Scene(points, frames)")
+    if not batch_size >= 1:
+        raise ValueError(f"batch_size: expected at least 1 frame, got {batch_size}")
+    return scene
 
 
 def _of_reset(made: T | None) -> T:

@@ -95,8 +95,7 @@ def live(
             raise ValueError(f"scene: {scene}: expected frames with depth, got a cloud without frames")
         warn_of_poses(recording.frames, str(scene))
         results = _Results(segmenter, recording, view, log)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PoseWarning)  # the segmenter would say it again
+        with warnings.catch_warnings(action="ignore", category=PoseWarning):  # the segmenter would say it again
             played = _play(results, rate, every or int(show))
         result = results.compute(len(recording.frames), is_last=True)
         seen = recording.select_frames(played.keyframes)

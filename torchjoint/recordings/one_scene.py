@@ -67,9 +67,9 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
     """
     name, path = scene
     memory = as_bytes(None) // (job.tasks_on_machine or max(1, joblib.cpu_count() // torch.get_num_threads()))
-    out, end = job.out / name, time.monotonic() + PATIENCE
-    with one_at_a_time, warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    out = job.out / name
+    with one_at_a_time, warnings.catch_warnings(record=True, action="always") as caught:
+        end = time.monotonic() + PATIENCE
         reset_peak_memory()
         while job.overwrite or not is_done(out):
             try:

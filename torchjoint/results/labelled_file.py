@@ -126,7 +126,8 @@ def add_dimensions(laspy: Any, header: Any, columns: Mapping[str, npt.NDArray[An
     header.add_extra_dims([laspy.ExtraBytesParams(name, one.dtype, ORIGIN) for name, one in columns.items()])
     (record,) = header.vlrs.extract("ExtraBytesVlr")
     for one in record.extra_bytes_structs[len(known) // 192 :]:
-        data = bytes(one)  # 4: marks of what is given, or the number of undocumented bytes; 64 to 112: the range
+        # 192 bytes; 4: marks of what is given, or the number of undocumented bytes; 64 to 112: the range.
+        data = bytes(one)
         known += data if not one.data_type else data[:3] + bytes(1) + data[4:64] + bytes(48) + data[112:]
     header.vlrs.append(laspy.VLR("LASF_Spec", record.official_record_ids()[0], record.description, known))
 
