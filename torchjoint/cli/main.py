@@ -55,22 +55,7 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         description: for `--help`.
         interrupted: the message after Ctrl-C about commands that can be resumed.
     """
-    for stream in ("stdin", "stdout", "stderr"):
-        if getattr(sys, stream) is None:  # closed, as by >&-; the next file to be opened would have its number
-            setattr(sys, stream, nothing := open(os.devnull, "r+"))  # noqa: SIM115
-            os.set_inheritable(nothing.fileno(), True)  # for workers
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a name may have letters that the terminal lacks
-        sys.stdout.reconfigure(errors="backslashreplace")
-    told = set()
-
-    def once(message: Warning | str, *_: object, **__: object) -> str:  # each frame may give the same warning
-        line = "" if str(message) in told else f"{program}: warning: {on_terminal(str(message))}\n"
-        told.add(str(message))
-        return line
-
-    warnings.formatwarning = once
-    if (cache := cache_folder()) is not None:  # else matplotlib writes its list of fonts to the home folder
-        os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
+    _prepare(program)
     names = argparse.ArgumentParser(program, description=description, formatter_class=argparse.RawTextHelpFormatter)
     names.add_argument("-V", "--version", action="version", version=f"{program} {version(program)}")
     listed = names.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
@@ -88,17 +73,8 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
             os.getcwd()
         except FileNotFoundError as error:  # torch would find its own library no more, and abort
             raise FileNotFoundError("the current folder was deleted; change to another one") from error
-        name, chosen = command.replace("-", "_"), commands[command]
-        # Modules that load turn it into other errors, or abort.
-        before = signal.signal(signal.SIGINT, lambda *_: before == signal.SIG_IGN or os._exit(STOPPED))
-        gc.disable()  # a search for garbage would walk through all of torch, again and again
-        try:
-            module = import_module(f"{program.replace('-', '_')}.cli.{chosen.module or name}")
-        finally:
-            signal.signal(signal.SIGINT, before)
-            gc.freeze()
-            gc.enable()
-        _call(getattr(module, name), f"{program} {command}", arguments, chosen.example)
+        function = _loaded(program, command, commands[command].module)
+        _call(function, f"{program} {command}", arguments, commands[command].example)
         sys.stdout.flush()  # here, where an error of a closed pipe can still be handled
     except BrokenPipeError as error:  # `torchjoint parameters | head`
         with suppress(BrokenPipeError):
@@ -111,6 +87,40 @@ def run(program: str, commands: Mapping[str, Command], description: str, interru
         sys.exit(STOPPED)
     except (ValueError, TypeError, OSError, ImportError, MemoryError, RecursionError, RuntimeError) as error:
         _tell(program, error)
+
+
+def _prepare(program: str) -> None:
+    """Makes streams, warnings and matplotlib fit for a program that others call."""
+    for stream in ("stdin", "stdout", "stderr"):
+        if getattr(sys, stream) is None:  # closed, as by >&-; the next file to be opened would have its number
+            setattr(sys, stream, nothing := open(os.devnull, "r+"))  # noqa: SIM115
+            os.set_inheritable(nothing.fileno(), True)  # for workers
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a name may have letters that the terminal lacks
+        sys.stdout.reconfigure(errors="backslashreplace")
+    told = set()
+
+    def once(message: Warning | str, *_: object, **__: object) -> str:  # each frame may give the same warning
+        line = "" if str(message) in told else f"{program}: warning: {on_terminal(str(message))}\n"
+        told.add(str(message))
+        return line
+
+    warnings.formatwarning = once
+    if (cache := cache_folder()) is not None:  # else matplotlib writes its list of fonts to the home folder
+        os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
+
+
+def _loaded(program: str, command: str, module: str) -> Callable[..., None]:
+    """The function of a command. An interruption while its module loads ends the program at once."""
+    # Modules that load turn it into other errors, or abort.
+    before = signal.signal(signal.SIGINT, lambda *_: before == signal.SIG_IGN or os._exit(STOPPED))
+    gc.disable()  # a search for garbage would walk through all of torch, again and again
+    try:
+        name = command.replace("-", "_")
+        return getattr(import_module(f"{program.replace('-', '_')}.cli.{module or name}"), name)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        gc.freeze()
+        gc.enable()
 
 
 def _call(function: Callable[..., None], program: str, arguments: list[str], example: str) -> None:
@@ -151,8 +161,7 @@ def _name_values(owner: Any) -> None:
 
 def _tell(program: str, error: Exception) -> NoReturn:
     """Exits with the message of a user error; raises any other error again, so that its traceback is printed."""
-    is_users = isinstance(error, BrokenExecutor | RecursionError) or is_out_of_memory(error)
-    is_users |= isinstance(error, ModuleNotFoundError)
+    is_users = isinstance(error, BrokenExecutor | RecursionError | ModuleNotFoundError) or is_out_of_memory(error)
     if isinstance(error, RuntimeError | ImportError) and not is_users:
         raise error
     sys.exit(f"{program}: error: {in_one_line(error)}")

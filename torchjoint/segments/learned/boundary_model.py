@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import as_file, files
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -225,7 +226,9 @@ def _model(arrays: dict[str, NDArray[Any]], features: tuple[str, ...]) -> Bounda
         raise ValueError(f"format: expected [{FORMAT}], got {version[:3]}; from another version of torchjoint?")
     names = tuple(take("feature_names", "U", 1).tolist())
     if names != features:
-        raise ValueError(_other_features(names, features))
+        have, want = next(pair for pair in zip_longest(names, features) if pair[0] != pair[1])
+        told = f"trained on {len(names)} features, of which this version computes others, or in another order"
+        raise ValueError(f"feature_names: {told}: expected {want!r}, got {have!r}"[:300] + "; train it again")
     thresholds = tuple(take("thresholds", "f", 1).tolist())
     baselines = take("baselines", "f", 2)
     if not 1 <= len(thresholds) <= MOST_ROUNDS or baselines.shape[1] != len(thresholds):
@@ -248,13 +251,3 @@ def _model(arrays: dict[str, NDArray[Any]], features: tuple[str, ...]) -> Bounda
     if arrays:
         raise ValueError(f"{min(arrays)}: unexpected array")
     return BoundaryModel(tuple(members))
-
-
-def _other_features(names: tuple[str, ...], features: tuple[str, ...]) -> str:
-    pairs = zip(names, features, strict=False)
-    place = next((i for i, (have, want) in enumerate(pairs) if have != want), min(len(names), len(FEATURE_NAMES)))
-    have, want = (repr(all_[place][:80]) if place < len(all_) else "none" for all_ in (names, features))
-    return (
-        f"feature_names: trained on other features than this version computes ({len(names)} instead of "
-        f"{len(features)}; number {place} is {have} instead of {want}); train it again"
-    )
