@@ -116,10 +116,10 @@ def test_names_of_a_run_are_saved_with_its_result(out, tmp_path):
     result = tj.load_result(folder, edits=False)
     viewer = app.Viewer(result, Shown(is_running=True), page=Page(port=8990))
     viewer.model.select((int(viewer.model.table[0]),))
-    typed(viewer, "sofa")
+    typed(viewer, "sofa\x1b[2J\x9b\t")  # what was pasted may control a terminal that prints a file with names
     viewer.replace(result, Shown(folder))  # of the same superpoints, as of method paper
     viewer.stop()
-    assert [step.name for step in read_edits(folder, viewer.model.parts.count).steps] == ["sofa"]
+    assert [step.name for step in read_edits(folder, viewer.model.parts.count).steps] == ["sofa\\x1b[2J\\x9b\t"]
 
 
 def test_what_is_typed_while_a_name_is_saved_stays(out, tmp_path, monkeypatch):
