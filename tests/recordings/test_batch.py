@@ -444,6 +444,7 @@ class TestOrigin:
 
 def test_cells_are_no_formulas():
     assert csv_text([("=1+1", "@x", "-5", "＝1", 7)]) == "'=1+1,'@x,'-5,'＝1,7\n"
+    assert csv_text([("a\x1b[2J", "b\0", "c\x9b", "ü\u200f\t")]) == "a\\x1b[2J,b\\x00,c\\x9b,ü\u200f\t\n"
     assert list(csv.reader(io.StringIO(csv_text([("a\rb", "c\r\n")]), newline=""))) == [["a\nb", "c\n"]]
     others = csv_text([("a", "b;=1", "c\t@x", 'd;"=1', "e\n+1", "semi-detached; -1 = 0")])
     assert others == """a,b;'=1,c\t'@x,"d;""'=1","e\n'+1",semi-detached; -1 = 0\n"""

@@ -1,6 +1,7 @@
 """The viewer's page as an object: two of them on one result, and the end of a program that opened one."""
 
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -116,10 +117,10 @@ def test_names_of_a_run_are_saved_with_its_result(out, tmp_path):
     result = tj.load_result(folder, edits=False)
     viewer = app.Viewer(result, Shown(is_running=True), page=Page(port=8990))
     viewer.model.select((int(viewer.model.table[0]),))
-    typed(viewer, "sofa")
+    typed(viewer, "sofa\x1b[2J\x9b\t")  # what was pasted may control a terminal that prints a file with names
     viewer.replace(result, Shown(folder))  # of the same superpoints, as of method paper
     viewer.stop()
-    assert [step.name for step in read_edits(folder, viewer.model.parts.count).steps] == ["sofa"]
+    assert [step.name for step in read_edits(folder, viewer.model.parts.count).steps] == ["sofa\\x1b[2J\\x9b\t"]
 
 
 def test_what_is_typed_while_a_name_is_saved_stays(out, tmp_path, monkeypatch):
@@ -208,6 +209,18 @@ def test_a_survey_is_as_exact_as_a_room(out):
     shown = handle.points.astype(np.float64) + handle.position
     viewer.stop()
     assert np.abs(shown - points.numpy()[part]).max() < 1e-3
+
+
+def test_ctrl_c_while_a_page_ends_does_not_abort():
+    """An exception in the wait for a thread that computes let Python end before it: std::terminate."""
+    code = """
+import os, signal, time
+from torchjoint.viewer.server import Page
+page = Page(port=8996)
+page.work(lambda: (time.sleep(0.5), os.kill(os.getpid(), signal.SIGINT), time.sleep(2)))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
 
 
 PROGRAM = """

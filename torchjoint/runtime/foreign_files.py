@@ -23,6 +23,7 @@ from typing import Any
 from zipfile import BadZipFile
 
 from torchjoint.runtime import bounds
+from torchjoint.runtime.messages import printable
 
 #: What readers raise where bytes are damaged; RecursionError is a RuntimeError, OverflowError an ArithmeticError.
 DAMAGE: tuple[type[Exception], ...] = (
@@ -188,8 +189,8 @@ def no_formula(text: str) -> str:
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Rows as text, without formulas."""
+    """Rows as text, without formulas and what controls a terminal."""
     text = io.StringIO()
-    cells = ([no_formula(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+    cells = ([no_formula(printable(cell)) if isinstance(cell, str) else cell for cell in row] for row in rows)
     csv.writer(text, lineterminator="\n").writerows(cells)  # csv puts no quotes around a lone "\r", which ends a row
     return text.getvalue()

@@ -10,8 +10,10 @@ from threading import Lock
 
 #: Parts of the messages of torch, and of the system's loader of libraries.
 _OUT_OF_MEMORY = ("not enough memory", "can't allocate memory", "bad_alloc", "failed to map segment")
-#: Characters that move the cursor, begin an escape sequence, or turn the direction of writing; not tab and line break.
-_CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+#: What controls a terminal, not tab and line breaks, and the number that stands for it; and what turns the direction of
+#: writing or goes back to the start of the line.
+_CONTROLS = {code: f"\\x{code:02x}" for code in (*range(9), 11, 12, *range(14, 32), *range(127, 160))}
+_TURNS = {code: f"\\u{code:04x}" for code in (13, 1564, 8206, 8207, *range(8232, 8239), *range(8294, 8298))}
 #: Is called with each share of step 6 that is done, for a bar; a method need not call it.
 advance: ContextVar[Callable[[float], object]] = ContextVar("torchjoint_advance", default=lambda share: None)
 
@@ -22,13 +24,13 @@ def is_out_of_memory(error: BaseException) -> bool:
 
 
 def printable(name: str) -> str:
-    """A name as text for a page or a picture: half characters, which have no encoding, as their numbers."""
-    return name.encode("utf-8", "backslashreplace").decode("utf-8")
+    """A name as text for files and pages: controls, and half characters, which have no encoding, as their numbers."""
+    return name.encode("utf-8", "backslashreplace").decode("utf-8").translate(_CONTROLS)
 
 
 def on_terminal(text: str) -> str:
     """Text with names of others for a terminal: characters that control it are shown as their numbers."""
-    return _CONTROLS.sub(lambda match: match[0].encode("unicode_escape").decode(), printable(text))
+    return printable(text).translate(_TURNS)
 
 
 def counted(number: int, thing: str) -> str:
@@ -71,9 +73,7 @@ def needed_for(purpose: str, package: str, requirement: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(f"{purpose} needs {package}: pip install '{requirement}'") from error
     except (ImportError, OSError) as error:
-        raise ModuleNotFoundError(
-            f"{purpose} needs {package}, which is installed, but does not load: {error}"
-        ) from error
+        raise ModuleNotFoundError(f"{purpose} needs {package}, which is there, but does not load: {error}") from error
 
 
 class Stopwatch:

@@ -315,7 +315,7 @@ class Viewer:
 
     def _on_typed(self, event: Any) -> None:
         if event.client is not None:  # else it was drawn, perhaps by an action that letters wait for
-            self._typed = self._panel.name.value
+            self._typed = printable(self._panel.name.value)  # a field takes what was pasted
             self._guarded(self._on_name, self._typed)
 
     def _on_name(self, name: str) -> None:

@@ -106,8 +106,7 @@ class Measures:
     @cached_property
     def confidence(self) -> Confidence | None:
         """That the segments, in ascending order, are objects; None: no ensemble."""
-        hierarchy = self._parts.result.hierarchy
-        votes = None if hierarchy is None else hierarchy.votes
+        votes = getattr(self._parts.result.hierarchy, "votes", None)
         return None if votes is None else votes.confidence(torch.from_numpy(self._number))
 
     @cached_property

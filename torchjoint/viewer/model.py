@@ -313,8 +313,8 @@ def export_selected(model: Model, kind: str) -> tuple[str, bytes]:
     name = "-".join(f"{key}-{name}" if name else str(key) for key, name in [*called.items()][:5])
     name = portable_name(name + (f"-and-{len(called) - 5}-more" if len(called) > 5 else ""))
     result = model.result
-    keys = np.where(np.isin(model.table, model.selected), model.measures.ids, -1)  # of superpoints; -1: others
-    keys = np.append(keys, -1)  # of pixels without a superpoint
+    # Of superpoints; -1: of others, and the last one of pixels without a superpoint.
+    keys = np.append(np.where(np.isin(model.table, model.selected), model.measures.ids, -1), -1)
     labels = torch.from_numpy(keys[model.parts.of_point])
     if kind == "PLY":
         chosen, ids = result.scene.select_points(labels >= 0), labels[labels >= 0]

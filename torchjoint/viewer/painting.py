@@ -21,9 +21,8 @@ FADED = 0.15
 
 def superpoint_colors(model: Model) -> npt.NDArray[np.float64]:
     """[P, 3] RGB in 0 to 255 of each superpoint, in a mode that colours superpoints."""
-    number = torch.arange(model.parts.count)
     if model.mode == "initial":
-        colors = label_colors(number)
+        colors = label_colors(torch.arange(model.parts.count))
     elif model.mode == "confidence":
         colors = _confidence_colors(model)
     else:

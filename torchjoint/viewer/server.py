@@ -3,6 +3,7 @@
 import io
 import logging
 import secrets
+import signal
 import socket
 import threading
 import weakref
@@ -269,6 +270,9 @@ class Page:
 
 def _end(page: weakref.ref[Page]) -> None:
     if (alive := page()) is not None and not alive.has_stopped:
+        with suppress(ValueError):  # another thread than the main one ends the program
+            # An exception would end the wait for the workers, so that Python ends before them, and aborts.
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
         if lost := alive.not_kept():
             say(f"not kept: {lost}")
         alive.stop()

@@ -90,30 +90,25 @@ def _pixels(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> Arr
     return rows.view(order).astype(dtype).reshape(height, width, channels)
 
 
-def has_region(message: Any) -> bool:
-    """Whether a CameraInfo has a region of interest: its images show a part of what K and P describe."""
-    return min(message.roi.height, message.roi.width) > 0
-
-
 def matrices_of(message: Any) -> list[list[float]]:
     """The numbers K, P, D and R of a CameraInfo, whose names are capital in ROS 1."""
     names = "kpdr" if hasattr(message, "k") else "KPDR"
     return [np.asarray(getattr(message, name), np.float64).tolist() for name in names]
 
 
-def camera(message: Any, rectified: bool, name: str, image_size: Sequence[int] | None = None) -> Camera:
+def camera(message: Any, rectified: bool, name: str, image_size: Sequence[int]) -> Camera:
     """The camera of a CameraInfo: K and the distortion, or P of rectified images.
 
     Args:
         message: the CameraInfo.
         rectified: the images are.
         name: for messages.
-        image_size: (H, W) of an image; needed if there is a region of interest: some drivers send whole images with it.
+        image_size: (H, W) of an image: some drivers send whole images with a region of interest.
     """
     K, P, D, _ = map(np.array, matrices_of(message))
     K, P = K.reshape(3, 3), P.reshape(3, 4)
     size = (int(message.height), int(message.width)) if message.height and message.width else None
-    if has_region(message):
+    if min(message.roi.height, message.roi.width) > 0:  # images show a part of what K and P describe
         part = (int(message.roi.height), int(message.roi.width))
         bins = (max(int(message.binning_y), 1), max(int(message.binning_x), 1))
         if size is None or part == size or image_size != (size[0] // bins[0], size[1] // bins[1]):
@@ -172,7 +167,7 @@ class Poses:
     def __init__(self, bag: Bag, limit: float) -> None:
         self.bag, self.limit = bag, limit
         self._parents: dict[str, str] = {}
-        self._all_parents: dict[str, set[str]] = {}
+        self._ways: dict[str, set[Any]] = {}  # parents of each frame; of a fixed one also its transforms, to two digits
         self._rows: dict[str, dict[float, list[float]]] = {}
         self._fixed: dict[str, bool] = {}
         for topic in bag.topics(*TF):
@@ -193,9 +188,12 @@ class Poses:
         wanted = np.array(times, np.float64)
         poses: list[Tensor | None] = [torch.eye(4, dtype=torch.float64) for _ in times]
         for one in self._chain(frame):
-            if len(several := self._all_parents[one]) > 1:
+            if len(several := {parent for parent, *_ in self._ways[one]}) > 1:
                 told = f"{self.bag.path}: expected one parent of frame {one!r} in tf, got {', '.join(sorted(several))}"
                 raise ValueError(f"{told}; --topics odometry=TOPIC takes other poses")
+            if len(self._ways[one]) > 1:
+                told = f"{self.bag.path}: tf fixes frame {one!r} in {len(self._ways[one])} ways, or moves it, too"
+                warnings.warn(f"{told}; of fixed ones, the last counts at all times: check the poses", stacklevel=4)
             rows = np.array([self._rows[one][time] for time in sorted(self._rows[one])])
             limit = np.inf if self._fixed[one] else self.limit
             step = interpolate_poses(rows, wanted, limit, f"{self.bag.path}: transform of {one}")
@@ -217,7 +215,7 @@ class Poses:
             warnings.warn(f"{self.bag.path}: the poses of {topic} are taken as those of frame {body}", stacklevel=4)
         for child in set(children):
             self._rows.pop(child, None)
-            self._all_parents.pop(child, None)
+            self._ways.pop(child, None)
         for child, message in zip(children, messages, strict=True):
             transform = message.transform if hasattr(message, "transform") else message.pose
             self._add(message.header, child, getattr(transform, "pose", transform), False)
@@ -241,7 +239,7 @@ class Poses:
         if not np.isfinite(row).all():
             raise ValueError(f"{self.bag.path}: expected finite transforms of frame {child}, got {row}")
         self._parents[child] = header.frame_id.lstrip("/")
-        self._all_parents.setdefault(child, set()).add(self._parents[child])
+        self._ways.setdefault(child, set()).add((self._parents[child], *(np.round(row[1:], 2) if fixed else ())))
         if fixed and self._fixed.get(child):  # as in tf2, the latest counts
             del self._rows[child]
         self._fixed[child] = fixed

@@ -165,8 +165,7 @@ def _frames(bag: Bag, topics: _Topics, poses: messages.Poses, limit: float) -> S
         told = f"{sum(changed)} of {len(changed)} messages have another camera than the first, taken for all images"
         warnings.warn(f"{bag.path}: {topics.info}: {told}", stacklevel=3)
     _tell_pair(bag, topics, info, rectified)
-    has_part = messages.has_region(info)
-    size = messages.color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape[1:] if has_part else None
+    size = messages.color_image(bag.first(topics.color), f"{bag.path}: {topics.color}").shape[1:]
     lens = messages.camera(info, rectified, f"{bag.path}: {topics.info}", size)
     shots = []
     for index, pose in kept:
