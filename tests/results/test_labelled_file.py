@@ -261,7 +261,12 @@ def test_triangles_give_a_mesh_its_normals(tmp_path):
     torn = faces.clone()
     torn[::3] = torn[::3].flip(1)
     assert cloud_alone.agreed_normals(points, torn) is None  # no common side
-    assert cloud_alone.agreed_normals(points[faces].reshape(-1, 3), torch.arange(faces.numel()).view(-1, 3)) is None
+    # A .glb has each vertex at a seam of its texture several times; labels must be those of the same mesh without.
+    alone, corners = torch.arange(faces.numel()).view(-1, 3), points[faces].reshape(-1, 3)
+    assert torch.allclose(cloud_alone.agreed_normals(corners, alone), normals[faces].reshape(-1, 3), atol=1e-6)
+    assert cloud_alone.agreed_normals(corners + (alone // 3).repeat_interleave(3, 0)[:, :1], alone) is None  # loose
+    both = torch.cat([faces, faces.flip(1)])  # two sides: what is left of their sum has no direction
+    assert cloud_alone.agreed_normals(points, both) is None
     assert cloud_alone.agreed_normals(torch.zeros(3, 3), torch.tensor([[0, 1, 2], [0, 2, 1]])) is None
     mesh = trimesh.Trimesh(points.numpy(), faces.numpy(), process=False)
     (tmp_path / "ball.ply").write_bytes(mesh.export(file_type="ply", vertex_normal=False))

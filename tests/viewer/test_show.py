@@ -128,6 +128,11 @@ def test_a_mesh_of_segments_can_be_shown(run, tmp_path):
     assert inside.sum() > 50
     assert torch.equal(shown.points[inside], labels[nearest][inside])
     run("show", tmp_path / "a.glb", "--static", tmp_path / "page.html")
+    # It lay on its side, and heights and relations were those along z.
+    for up in ([0.0, 1, 0], [0.0, 0, 1]):
+        standing = replace(result, scene=replace(scene, up=torch.tensor(up)))
+        label_file(tmp_path / "box.ply", tmp_path / "b.glb", standing)
+        assert read_labelled_cloud(tmp_path / "b.glb").scene.up.tolist() == up
     box.export(tmp_path / "other.glb")
     with pytest.raises(ValueError, match=r"other\.glb: expected .* got no labels"):
         read_labelled_cloud(tmp_path / "other.glb")

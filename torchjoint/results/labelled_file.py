@@ -25,6 +25,7 @@ from torchjoint.datasets.files.ply import PlyRecords, read_records, write_bytes,
 from torchjoint.datasets.files.readers import unchanged
 from torchjoint.results.render import label_colors
 from torchjoint.results.result import Result
+from torchjoint.results.upright import up_direction
 from torchjoint.runtime.files import portable_name
 from torchjoint.runtime.foreign_files import damage_is
 from torchjoint.runtime.groups import with_none
@@ -318,4 +319,5 @@ def _write_glb(out: Path, mesh: CloudFile, of_face: Tensor | None, result: Resul
         vertices = mesh.points[corners].numpy() - origin
         part = trimesh.Trimesh(vertices, faces.numpy(), vertex_colors=color.numpy(), process=False, validate=False)
         scene.add_geometry(part, file_stem(segment, result), file_stem(segment, result), transform=place)
+    scene.metadata["up"] = up_direction(result.scene).tolist()  # for the viewer; the coordinates are those of the file
     write_bytes(out, scene.export(file_type="glb"))

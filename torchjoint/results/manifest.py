@@ -81,8 +81,7 @@ def open_manifest(folder: Path) -> Check:
         raise ValueError(f"{folder / name}: expected only files that the run wrote, got another{_WAY_OUT}")
 
     def check(path: Path) -> Path:
-        entry = files.get(path.relative_to(folder).as_posix())
-        if not has_file(path) or entry != _entry(path):
+        if not has_file(path) or files.get(path.relative_to(folder).as_posix()) != _entry(path):
             check_same(folder, opened)
             present(path, "a file of a result")
             raise ValueError(f"{path}: expected the file that the run wrote, got another, or a damaged one{_WAY_OUT}")

@@ -50,8 +50,7 @@ def read_point_labels(file: Path, num_points: int) -> ForeignLabels | None:
         raise ValueError(f"{file}: point_annotations: expected ids >= 0 of {num_points} points, got {got}")
     for one in record.records("annotations"):
         if "attributes" in one and "name" in one.record("attributes"):
-            name = one.record("attributes").text("name").strip()
-            names.append((int(one.number("id")), printable(name)))
+            names.append((int(one.number("id")), printable(one.record("attributes").text("name").strip())))
     return ForeignLabels(of_point, dict_of(names, f"{file}: object"))
 
 

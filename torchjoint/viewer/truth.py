@@ -76,10 +76,9 @@ def read_labelled_cloud(path: Path) -> Result:
     whole = as_labels(as_tensor(as_int64(labels, name), name), labels.shape[:1], name)
     is_valid = cloud.points.isfinite().all(1)
     cloud, ids = cloud.chosen(is_valid), whole[is_valid]
-    scene = Scene(cloud.points, colors=cloud.colors, name=path.stem)
     ids[ids < 0] = ids.max() + 1  # what has no label is the last thing
     labels_of = ids if int(ids.max()) <= len(ids) else ids.unique(return_inverse=True)[1]
-    return Result.of(Segmentation(labels_of, ()), scene)
+    return Result.of(Segmentation(labels_of, ()), Scene(cloud.points, colors=cloud.colors, name=path.stem))
 
 
 def part_files(folder: Path) -> list[Path]:
@@ -88,24 +87,26 @@ def part_files(folder: Path) -> list[Path]:
     return files if all(PART.fullmatch(file.stem) for file in files) else []
 
 
-def _of_parts(path: Path, stems: list[str], clouds: list[CloudFile]) -> Result:
+def _of_parts(path: Path, stems: list[str], clouds: list[CloudFile], up: Tensor | None = None) -> Result:
     found = [one for stem in stems if (one := PART.fullmatch(stem))]
     ids = torch.tensor([int(one[1]) for one in found])
     no_twice(ids.tolist(), f"{path}: segment")
     labels = ids.repeat_interleave(torch.tensor([len(cloud.points) for cloud in clouds]))
     colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
     points = torch.cat([cloud.points for cloud in clouds])
-    scene = Scene(points, colors=torch.cat(colors) if len(colors) == len(clouds) else None, name=path.stem)
+    scene = Scene(points, colors=torch.cat(colors) if len(colors) == len(clouds) else None, name=path.stem, up=up)
     names = {int(one[1]): printable(one[2]) for one in found if one[2]}
     return replace(Result.of(Segmentation(labels, ()), scene), segment_names=names)
 
 
 def _of_nodes(path: Path) -> Result | None:
     """The vertices of a .glb of `label`, by its nodes; None: of others."""
-    parts = scene_of(read_file(path, "a mesh"), path).dump()
+    mesh = scene_of(read_file(path, "a mesh"), path)
+    # In glTF y is up; `label` tells of what it made of a file with another direction.
+    parts, up = mesh.dump(), as_tensor(np.array(mesh.metadata.get("up", (0.0, 1.0, 0.0))), f"{path}: up")
     stems = [str(part.metadata.get("name")) for part in parts]
     clouds = [CloudFile(torch.from_numpy(np.array(part.vertices))) for part in parts]
-    return _of_parts(path, stems, clouds) if all(map(PART.fullmatch, stems)) else None
+    return _of_parts(path, stems, clouds, up) if all(map(PART.fullmatch, stems)) else None
 
 
 def _labels(path: Path) -> npt.NDArray[Any] | None:

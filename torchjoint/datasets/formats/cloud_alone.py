@@ -8,6 +8,7 @@ says what the files hold.
 import warnings
 from pathlib import Path
 
+import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
@@ -33,20 +34,19 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     cloud = read_cloud_file(path, invalid=options.invalid, least_opacity=options.least_opacity)
-    points, normals, faces = cloud.points, cloud.normals, cloud.faces
+    points, colors, normals, faces = cloud.points, cloud.colors, cloud.normals, cloud.faces
     if faces is not None and has_large_triangles(points, faces):
-        points, colors = points_on(points, faces, cloud.colors, str(path))
-        return Scene(points, colors=colors, name=path.stem, up=up_of(path))
-    if normals is None and faces is not None:
+        (points, colors), normals = points_on(points, faces, colors, str(path)), None
+    elif normals is None and faces is not None:
         normals = agreed_normals(points, faces)
-    return Scene(points, colors=cloud.colors, normals=normals, name=path.stem, up=up_of(path))
+    return Scene(points, colors=colors, normals=normals, name=path.stem, up=up_of(path))
 
 
 def has_large_triangles(points: Tensor, faces: Tensor) -> bool:
     """Whether the vertices of a mesh say little about its surface, as in models that are drawn and not scanned."""
     corners = points[faces].double()
     edges = (corners - corners.roll(1, 1)).norm(dim=2).amax(1)
-    area = _areas(corners)
+    area = _crosses(corners).norm(dim=1)
     diagonal = (points.double().amax(0) - points.double().amin(0)).norm()
     return bool(area[edges > LARGE * diagonal].sum() > LARGE_SHARE * area.sum())
 
@@ -59,13 +59,18 @@ def agreed_normals(points: Tensor, faces: Tensor) -> Tensor | None:
         faces: [F, 3] int64, counter-clockwise from outside.
 
     Returns:
-        [V, 3] float32 of unit length; None if the triangles do not agree on an outer side, as those of loose surfaces.
+        [V, 3] float32 of unit length; None if the triangles do not agree on an outer side, as loose or two-sided ones.
     """
+    # At the seams of a texture, one vertex stands there several times: the first counts. Copies have its normal.
+    rows = np.ascontiguousarray(points.double().numpy() + 0.0).view("V24").ravel()  # -0 becomes 0
+    _, first, place = np.unique(rows, return_index=True, return_inverse=True)
+    faces = torch.from_numpy(first[place])[faces]
     a, b = torch.stack([faces, faces.roll(-1, 1)]).flatten(1)
-    if float(torch.isin(b * len(points) + a, a * len(points) + b).float().mean()) < AGREED:
+    there, back = a * len(points) + b, b * len(points) + a
+    # Of triangles with two sides each edge runs both ways, and each way twice.
+    if min(float(torch.isin(back, there).float().mean()), len(there.unique()) / len(there)) < AGREED:
         return None
-    first, second, third = points[faces].double().unbind(1)
-    areas = torch.linalg.cross(second - first, third - first, dim=1).repeat_interleave(3, 0)
+    areas = _crosses(points[faces].double()).repeat_interleave(3, 0)
     normals = torch.zeros(len(points), 3, dtype=torch.float64).index_add_(0, faces.flatten(), areas)
     has = normals.any(1)
     if not bool(has.any()):
@@ -90,7 +95,7 @@ def points_on(points: Tensor, faces: Tensor, colors: Tensor | None, name: str) -
     told = f"{name}: the triangles are large, so {SAMPLES} points are drawn on them"
     warnings.warn(f"{told}; `torchjoint label` labels the mesh", stacklevel=3)
     random = torch.Generator().manual_seed(0)
-    total = _areas(points[faces].double()).cumsum(0)
+    total = _crosses(points[faces].double()).norm(dim=1).cumsum(0)
     drawn = torch.rand(SAMPLES, generator=random, dtype=torch.float64) * total[-1]
     face = torch.searchsorted(total, drawn, right=True).clamp(max=len(faces) - 1)
     u, v = torch.rand(2, SAMPLES, 1, generator=random, dtype=torch.float64)
@@ -106,6 +111,7 @@ def points_on(points: Tensor, faces: Tensor, colors: Tensor | None, name: str) -
     return torch.cat([between(points), points[loose].double()]), colors
 
 
-def _areas(corners: Tensor) -> Tensor:
+def _crosses(corners: Tensor) -> Tensor:
+    """The normals of triangles [F, 3, 3], [F, 3]; their lengths are twice the areas."""
     a, b, c = corners.unbind(1)
-    return torch.linalg.cross(b - a, c - a, dim=1).norm(dim=1) / 2
+    return torch.linalg.cross(b - a, c - a, dim=1)

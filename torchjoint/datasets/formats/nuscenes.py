@@ -44,8 +44,7 @@ def load(path: Path, options: Options) -> Scene:
     file = path_inside(path, lidar.text("lidar_path"), lidar.name)
     points = read_scan(file, int(columns), options.invalid, plausible=True)[:, :3]
     cameras = sample.record("cameras")
-    shots = [_shot(path, cameras.record(name), name) for name in cameras.values]
-    frames = read_shots(shots)
+    frames = read_shots([_shot(path, cameras.record(name), name) for name in cameras.values])
     truth = Truth(_instances(sample.records("instances"), points)) if "instances" in sample else None
     return Scene(points, frames, name=path.name, truth=truth)
 

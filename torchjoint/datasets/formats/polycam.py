@@ -60,5 +60,4 @@ def _read_depth(folder: Path, stem: str) -> Tensor:
     if not has_file(confidence):
         return depth
     sure = labels_of(read_raster(confidence), str(confidence))
-    sure = resize_depth(sure, (depth.shape[0], depth.shape[1]), str(confidence)) > 0
-    return torch.where(sure, depth, 0.0)
+    return torch.where(resize_depth(sure, (depth.shape[0], depth.shape[1]), str(confidence)) > 0, depth, 0.0)

@@ -63,8 +63,7 @@ def read_frames(path: Path) -> Sequence[Frame]:
     kept = posed(list(enumerate(poses)), str(path), track.name, TOLERANCE)
     tell_unlisted(str(path), images)
     camera, shots = _camera(path), []
-    names = frame_names([str(images[index]) for index, _ in kept])
-    for (index, pose), name in zip(kept, names, strict=True):
+    for (index, pose), name in zip(kept, frame_names([str(images[index]) for index, _ in kept]), strict=True):
         color, depth = images[index], depths[depth_of[index]][1] if index in depth_of else None
         for file in (color, depth or color):
             present(file, "the image that rgb.txt or depth.txt lists")
