@@ -40,7 +40,7 @@ def test_what_is_missing_is_told(module, tmp_path, monkeypatch):
 
 def test_a_package_that_does_not_load_is_not_called_missing():
     with (
-        pytest.raises(ModuleNotFoundError, match=r"fusing needs Open3D, which is there, but .*: libusb-1.0.so.0"),
+        pytest.raises(ModuleNotFoundError, match=r"fusing needs Open3D: installed, but .*: libusb-1.0.so.0"),
         needed_for("fusing", "Open3D", "torchjoint[open3d]"),
     ):
         raise ImportError("libusb-1.0.so.0: cannot open shared object file")

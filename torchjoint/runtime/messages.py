@@ -73,7 +73,7 @@ def needed_for(purpose: str, package: str, requirement: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(f"{purpose} needs {package}: pip install '{requirement}'") from error
     except (ImportError, OSError) as error:
-        raise ModuleNotFoundError(f"{purpose} needs {package}, which is there, but does not load: {error}") from error
+        raise ModuleNotFoundError(f"{purpose} needs {package}: installed, but does not load: {error}") from error
 
 
 class Stopwatch:

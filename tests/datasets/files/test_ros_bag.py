@@ -197,7 +197,7 @@ def test_types_that_fill_the_memory(text, message, tmp_path):
 def test_a_library_without_a_place_for_the_bounds_is_refused(tmp_path, monkeypatch):
     ros_2(tmp_path / "walk", CompressionMode.MESSAGE, StoragePlugin.SQLITE3)
     monkeypatch.delattr("rosbags.rosbag2.reader.zstd")
-    with pytest.raises(ModuleNotFoundError, match="needs rosbags, which is there, but does not load"):
+    with pytest.raises(ModuleNotFoundError, match="needs rosbags: installed, but does not load"):
         Bag(tmp_path / "walk").first("/text")
 
 
