@@ -320,6 +320,14 @@ def test_an_unknown_format_says_what_is_missing(tmp_path):
     (tmp_path / "thing.mp4").write_text("x")
     with pytest.raises(ValueError, match=r"it is a file that ends in '\.mp4'\. .*`torchjoint formats` lists all"):
         tj.load_scene(tmp_path / "thing.mp4")
+    (tmp_path / "raw.zip").write_text("x")
+    with pytest.raises(ValueError, match=r"ends in '\.zip' \(unpack it\)\. "):
+        tj.load_scene(tmp_path / "raw.zip")
+    (tmp_path / "scan").mkdir()  # a phone's mesh: the most similar format was a folder of frames
+    for name in ("room.obj", "room.mtl", "room.png"):
+        (tmp_path / "scan" / name).write_text("x")
+    with pytest.raises(ValueError, match=r"For a cloud alone, give the file: .*room\.obj\."):
+        tj.load_scene(tmp_path / "scan")
     (tmp_path / "none" / "a").mkdir(parents=True)  # a letter of each format's words
     with pytest.raises(ValueError, match=r"it has 1 folder\. `torchjoint formats` lists all"):
         tj.load_scene(tmp_path / "none")

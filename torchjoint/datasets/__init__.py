@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.clouds import SUFFIXES, read_cloud_file
 from torchjoint.datasets.files.readers import RESULTS
 from torchjoint.datasets.formats import FORMATS, Format
 from torchjoint.datasets.fusion import fuse_cloud
-from torchjoint.datasets.recording import CLOUD_SUFFIXES, Options
+from torchjoint.datasets.recording import Options
 from torchjoint.runtime.foreign_files import has_file, has_folder, is_there, or_unreadable
 from torchjoint.runtime.messages import counted
 from torchjoint.runtime.threads import on_cpu
@@ -161,14 +161,14 @@ def _is_folder_of_scene(path: Path) -> bool:
 def _content(path: Path) -> str:
     """What a folder or file of no known format has, in a few words."""
     if has_file(path):
-        return f"is a file that ends in {path.suffix!r}"
+        return f"is a file that ends in {path.suffix!r}" + " (unpack it)" * (path.suffix.lower() in (".zip", ".gz"))
     kinds = Counter("folder" if has_folder(one) else f"{one.suffix} file".strip() for one in sorted(path.iterdir()))
     return f"has {', '.join(counted(count, kind) for kind, count in kinds.most_common(6)) or 'no files'}"
 
 
 def _cloud_inside(path: Path) -> str:
     inside = sorted(path.iterdir()) if has_folder(path) else []
-    found = [one for one in inside if has_file(one) and one.suffix.lower() in (*CLOUD_SUFFIXES, ".bin", ".npy")]
+    found = [one for one in inside if has_file(one) and one.suffix.lower() in {*SUFFIXES} - {".csv", ".npz", ".txt"}]
     if len(found) > 1 and found[0].suffix.lower() in (".las", ".laz"):
         whole = "merge them (`pdal merge A.laz B.laz SITE.laz`), `torchjoint segment SITE.laz`"
         each = "`torchjoint label OUT A.laz -o NEW.laz` for each; `torchjoint superpoints` takes all"
