@@ -161,6 +161,12 @@ def test_other_parameters_are_not_mixed(done, scans):
         tj.batch(scans, done[0], engine=HereExecutor())
 
 
+def test_a_file_of_parameters_is_no_config(scans, tmp_path):
+    with pytest.raises(TypeError, match=r"config: expected a Config, got str; Config\.from_yaml reads a file"):
+        tj.batch(scans, tmp_path / "out", engine=HereExecutor(), config="mine.yaml")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_model_that_was_trained_anew_is_another_parameter(tmp_path):
     """The results of the earlier model were taken for done."""
     model, scans = tmp_path / "mine.npz", tmp_path / "scans"

@@ -91,7 +91,9 @@ class RecordingOptions:
     up: tuple[float, float, float] | None = None
 
     def check(self, config: Config) -> None:
-        """Raises ValueError if an option is out of range, or does not fit the parameters."""
+        """Raises an error if an option is out of range, or does not fit the parameters, or these are no Config."""
+        if not isinstance(config, Config):
+            raise TypeError(f"config: expected a Config, got {type(config).__name__}; Config.from_yaml reads a file")
         if self.max_frames is not None and self.max_frames < 0:
             raise ValueError(f"--max-frames: expected >= 0, got {self.max_frames}")
         if self.thin is not None and not 0 < self.thin < float("inf"):
