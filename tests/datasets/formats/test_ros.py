@@ -1,6 +1,8 @@
 """ROS recordings: topics found by type, times matched, poses of tf and odometry; ROS 1 and 2 give the same."""
 
+import copy
 import io
+import pickle
 import struct
 import warnings
 
@@ -43,6 +45,14 @@ def test_a_file_of_ros_2_without_its_folder(storage, tmp_path):
     scene = tj.load_scene(alone, cloud=tmp_path / "cloud.ply", voxel_size=0.1)
     assert [frame.name for frame in scene.frames] == ["1700000000.004000", "1700000000.104000"]
     assert torch.equal(scene.frames[1].image, torch.from_numpy(ros.colors(1)[..., ::-1].copy()).permute(2, 0, 1) / 255)
+
+
+def test_frames_go_to_other_processes(tmp_path):
+    """As those of files do: workers of a data loader that are spawned get them pickled."""
+    frames = tj.load_scene(ros.record(tmp_path / "walk", ros.messages()), fuse=False).frames
+    for other in (pickle.loads(pickle.dumps(frames)), copy.deepcopy(frames)):
+        assert torch.equal(other[1].image, frames[1].image)
+        assert torch.equal(other[1].depth, frames[1].depth)
 
 
 def test_a_clock_that_was_set_back_is_told(tmp_path):
