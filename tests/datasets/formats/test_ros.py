@@ -171,6 +171,18 @@ def test_a_camera_without_poses_does_not_stand_still(tmp_path):
         tj.load_scene(bag, voxel_size=0.1)
 
 
+@pytest.mark.parametrize("turned", [0.001, 0.3])
+def test_joints_of_a_robot_are_not_its_place(turned, tmp_path):
+    """Here tf has a moving head, or the noise of one that rests, and ends at the base that the odometry places."""
+    sent = of(ros.messages(), "/tf", "/tf_static")
+    for index in range(2):
+        sent.append(("/odom", 0.1 * index, ros_points.odometry(0.1 * index, (index, 0, 0))))
+        head = ros.transforms(0.1 * index, "base", "camera_optical", (0, 0, 0.5 + turned * index))
+        sent.append(("/tf", 0.1 * index, head))
+    frames = tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False).frames
+    assert [round(-frame.world_to_camera[0, 3].item(), 2) for frame in frames] == [0.04, 1]
+
+
 def test_a_camera_that_zooms_is_told(tmp_path):
     messages = list(ros.messages())
     [one for topic, _, one in messages if topic == "/camera/camera_info"][1].k[0] = 24.0
