@@ -172,9 +172,11 @@ def test_a_camera_without_poses_does_not_stand_still(tmp_path):
 
 
 @pytest.mark.parametrize("turned", [0.001, 0.3])
-def test_joints_of_a_robot_are_not_its_place(turned, tmp_path):
-    """Here tf has a moving head, or the noise of one that rests, and ends at the base that the odometry places."""
+@pytest.mark.parametrize("root", ["base", "footprint"])
+def test_joints_of_a_robot_are_not_its_place(turned, root, tmp_path):
+    """tf has a moving head, or the noise of one that rests, and does not move the base that the odometry places."""
     sent = of(ros.messages(), "/tf", "/tf_static")
+    sent += [("/tf_static", 0.0, ros.transforms(0.0, "footprint", "base", (0, 0, 0.2)))] * (root == "footprint")
     for index in range(2):
         sent.append(("/odom", 0.1 * index, ros_points.odometry(0.1 * index, (index, 0, 0))))
         head = ros.transforms(0.1 * index, "base", "camera_optical", (0, 0, 0.5 + turned * index))

@@ -7,8 +7,8 @@ info      sensor_msgs/CameraInfo of the colour camera: with the same frame, or e
 depth     sensor_msgs/Image (16UC1: millimetres, 32FC1: metres) or CompressedImage (16 bits), in the same frame
 points    sensor_msgs/PointCloud2: the cloud, unless there is depth
 odometry  nav_msgs/Odometry, geometry_msgs/TransformStamped, PoseStamped or PoseWithCovarianceStamped, or nav_msgs/Path;
-          used if the camera does not move according to tf, or if they place the root of tf: a robot with a moving
-          head. `none`: the camera stands still
+          used if the camera does not move according to tf, or only on the robot that they place, as a moving head
+          does. `none`: the camera stands still
 
 An image gets the depth nearest in time; the nearest pairs are matched first. Its pose is interpolated between the
 transforms before and after it. Both must be within `time_limit`; images without a pose are left out, and a warning says
@@ -112,8 +112,9 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
         warnings.warn(f"{bag.path}: {topic}: {told}; --topics depth={topic} takes it as registered", stacklevel=3)
     points = _only("points", bag.topics(POINTS) if depth is None else (), chosen, bag)
     best = next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
-    if poses.moves(frame):  # perhaps only on a robot, in whose frame tf ends
-        best = [one for one in best if getattr(bag.first(one), "child_frame_id", "").lstrip("/") == poses.root(frame)]
+    if poses.moves(frame):  # perhaps only on a robot, which tf does not move
+        placed = {one: getattr(bag.first(one), "child_frame_id", "") for one in best}
+        best = [one for one in best if poses.root(placed[one]) == poses.root(frame) and not poses.moves(placed[one])]
     return _Topics(color, info, None if "points" in chosen else depth, points, _only("odometry", best, chosen, bag))
 
 
@@ -151,8 +152,7 @@ def _frame(message: Any) -> str:
 
 def _frames(bag: Bag, topics: _Topics, poses: messages.Poses, limit: float) -> Sequence[Frame]:
     colors, total = bag.stamps(topics.color), bag.counts[topics.color]
-    why = "have the time of another in their header,"
-    tell_left_out(f"{bag.path}: {topics.color}", total - len(colors), total, why)
+    tell_left_out(f"{bag.path}: {topics.color}", total - len(colors), total, "have the time of another in a header,")
     depths = [] if topics.depth is None else bag.stamps(topics.depth)
     depth_of = dict(associate([one.time for one in colors], [one.time for one in depths], limit))
     lost, why = 0 if depth_of else len(depths), f"have no image of {topics.color} within {limit} s (another clock?),"
