@@ -189,7 +189,7 @@ def test_ros_of_equal_times(tmp_path):
     """Some drivers leave the time in the header of all messages as it is."""
     same = ("/camera/image_raw", 0.15, ros.image(0.104, ros.colors(1), "bgr8"))
     bag = ros.record(tmp_path / "same", [*ros.messages(), same])
-    with pytest.warns(UserWarning, match=r"image_raw: 1 of 3 images have the time of another in their header, and are"):
+    with pytest.warns(UserWarning, match=r"image_raw: 1 of 3 images have the time of another in a header, and are"):
         assert len(tj.load_scene(bag, voxel_size=0.1).frames) == 2
 
 

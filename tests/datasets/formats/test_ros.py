@@ -1,6 +1,8 @@
 """ROS recordings: topics found by type, times matched, poses of tf and odometry; ROS 1 and 2 give the same."""
 
+import copy
 import io
+import pickle
 import struct
 import warnings
 
@@ -43,6 +45,14 @@ def test_a_file_of_ros_2_without_its_folder(storage, tmp_path):
     scene = tj.load_scene(alone, cloud=tmp_path / "cloud.ply", voxel_size=0.1)
     assert [frame.name for frame in scene.frames] == ["1700000000.004000", "1700000000.104000"]
     assert torch.equal(scene.frames[1].image, torch.from_numpy(ros.colors(1)[..., ::-1].copy()).permute(2, 0, 1) / 255)
+
+
+def test_frames_go_to_other_processes(tmp_path):
+    """As those of files do: workers of a data loader that are spawned get them pickled."""
+    frames = tj.load_scene(ros.record(tmp_path / "walk", ros.messages()), fuse=False).frames
+    for other in (pickle.loads(pickle.dumps(frames)), copy.deepcopy(frames)):
+        assert torch.equal(other[1].image, frames[1].image)
+        assert torch.equal(other[1].depth, frames[1].depth)
 
 
 def test_a_clock_that_was_set_back_is_told(tmp_path):
@@ -159,6 +169,20 @@ def test_a_camera_without_poses_does_not_stand_still(tmp_path):
     bag = ros.record(tmp_path / "fixed", of(ros.messages(), "/tf"))
     with pytest.warns(UserWarning, match=r"the camera, frame 'camera_optical', stands still in frame 'base';"):
         tj.load_scene(bag, voxel_size=0.1)
+
+
+@pytest.mark.parametrize("turned", [0.001, 0.3])
+@pytest.mark.parametrize("root", ["base", "footprint"])
+def test_joints_of_a_robot_are_not_its_place(turned, root, tmp_path):
+    """tf has a moving head, or the noise of one that rests, and does not move the base that the odometry places."""
+    sent = of(ros.messages(), "/tf", "/tf_static")
+    sent += [("/tf_static", 0.0, ros.transforms(0.0, "footprint", "base", (0, 0, 0.2)))] * (root == "footprint")
+    for index in range(2):
+        sent.append(("/odom", 0.1 * index, ros_points.odometry(0.1 * index, (index, 0, 0))))
+        head = ros.transforms(0.1 * index, "base", "camera_optical", (0, 0, 0.5 + turned * index))
+        sent.append(("/tf", 0.1 * index, head))
+    frames = tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False).frames
+    assert [round(-frame.world_to_camera[0, 3].item(), 2) for frame in frames] == [0.04, 1]
 
 
 def test_a_camera_that_zooms_is_told(tmp_path):

@@ -61,6 +61,9 @@ class Bag:
                     self.kinds[one.topic] = one.msgtype
                     self.counts[one.topic] += one.msgcount
 
+    def __reduce__(self) -> tuple[type["Bag"], tuple[Path]]:  # a worker opens the files itself
+        return Bag, (self.path,)
+
     def __del__(self) -> None:
         if getattr(self, "_reader", None) is not None and self._process == os.getpid():
             with suppress(Exception):  # a damaged file may raise anything
@@ -91,10 +94,8 @@ class Bag:
         Warns:
             UserWarning: the clock was set back between two of them.
         """
-        found: dict[float, Stamp] = {}
+        found, places, frames = dict[float, Stamp](), Counter[int](), set[str]()
         before = back = 0.0
-        frames = set()
-        places: Counter[int] = Counter()
         with self._opened() as reader:
             for _, recorded, data in reader.messages(_connections(reader, topic)):
                 time, frame = _header(data, reader.is2)

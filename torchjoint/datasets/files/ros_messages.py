@@ -35,6 +35,8 @@ ODOMETRY = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "nav_msgs/msg/Path",
 )
+#: Metres, and parts of a quaternion: the joints of a robot that stands still are told with so much noise.
+NOISE = 0.01
 #: A chain of more frames than this is taken for a cycle.
 _DEEPEST = 64
 
@@ -176,8 +178,8 @@ class Poses:
                     self._add(one.header, one.child_frame_id, one.transform, topic.endswith("static"))
 
     def moves(self, frame: str) -> bool:
-        """Whether a frame moves in the world: its transform, or one above it in the tree, changes over time."""
-        return any(len({tuple(row[1:]) for row in self._rows[one].values()}) > 1 for one in self._chain(frame))
+        """Whether a frame moves in the world: its transform, or one above it, changes by more than noise."""
+        return any(np.ptp([*self._rows[one].values()], axis=0)[1:].max() > NOISE for one in self._chain(frame))
 
     def root(self, frame: str) -> str:
         """The frame at the root of a frame's tree."""
@@ -207,8 +209,7 @@ class Poses:
         warning tells.
         """
         messages = list(self.bag.messages(topic))
-        if messages and hasattr(messages[-1], "poses"):
-            messages = messages[-1].poses
+        messages = getattr(messages[-1] if messages else None, "poses", messages)
         body = self.root(frame)
         children = [getattr(message, "child_frame_id", "").lstrip("/") or body for message in messages]
         if body in children and not hasattr(messages[0], "child_frame_id"):

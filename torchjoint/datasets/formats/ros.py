@@ -7,7 +7,8 @@ info      sensor_msgs/CameraInfo of the colour camera: with the same frame, or e
 depth     sensor_msgs/Image (16UC1: millimetres, 32FC1: metres) or CompressedImage (16 bits), in the same frame
 points    sensor_msgs/PointCloud2: the cloud, unless there is depth
 odometry  nav_msgs/Odometry, geometry_msgs/TransformStamped, PoseStamped or PoseWithCovarianceStamped, or nav_msgs/Path;
-          used if the camera does not move according to tf. `none`: the camera stands still
+          used if the camera does not move according to tf, or only on the robot that they place, as a moving head
+          does. `none`: the camera stands still
 
 An image gets the depth nearest in time; the nearest pairs are matched first. Its pose is interpolated between the
 transforms before and after it. Both must be within `time_limit`; images without a pose are left out, and a warning says
@@ -98,8 +99,7 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
     if color is None:
         raise ValueError(f"{bag.path}: expected colour images (scans alone: PCD), got {', '.join(bag.kinds) or 'none'}")
     frame = _frame(heads[color] if color in heads else bag.first(color))
-    infos = bag.topics(INFO)
-    infos = [topic for topic in infos if _frame(bag.first(topic)) == frame] or infos
+    infos = [topic for topic in bag.topics(INFO) if _frame(bag.first(topic)) == frame] or bag.topics(INFO)
     # Drivers tell the same camera again for the depth in its frame.
     same = len({repr(messages.matrices_of(bag.first(topic))) for topic in infos}) == 1
     info = _only("info", infos[:1] if same else infos, chosen, bag)
@@ -111,7 +111,10 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
         told = f"depth of frame {_frame(heads[topic])!r}, not of the images' {frame!r}: register it to {color}"
         warnings.warn(f"{bag.path}: {topic}: {told}; --topics depth={topic} takes it as registered", stacklevel=3)
     points = _only("points", bag.topics(POINTS) if depth is None else (), chosen, bag)
-    best = () if poses.moves(frame) else next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
+    best = next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
+    if poses.moves(frame):  # perhaps only on a robot, which tf does not move
+        placed = {one: getattr(bag.first(one), "child_frame_id", "") for one in best}
+        best = [one for one in best if poses.root(placed[one]) == poses.root(frame) and not poses.moves(placed[one])]
     return _Topics(color, info, None if "points" in chosen else depth, points, _only("odometry", best, chosen, bag))
 
 
@@ -125,8 +128,7 @@ def _check_poses(bag: Bag, topics: _Topics, poses: messages.Poses, frame: str) -
     way_out = "if it stood still, --topics odometry=none says so"
     if poses.root(frame) == frame:
         raise ValueError(
-            f"{bag.path}: expected poses of the camera, frame {frame!r}, in tf, or as "
-            f"{', '.join(kind.rpartition('/')[2] for kind in messages.ODOMETRY)}, got "
+            f"{bag.path}: expected poses of the camera, frame {frame!r}, in tf, or as odometry, got "
             f"{f'none in {topics.odometry}' if topics.odometry else 'none'}; record them, or name their topic "
             f"(--topics odometry=TOPIC); {way_out}"
         )
@@ -150,8 +152,7 @@ def _frame(message: Any) -> str:
 
 def _frames(bag: Bag, topics: _Topics, poses: messages.Poses, limit: float) -> Sequence[Frame]:
     colors, total = bag.stamps(topics.color), bag.counts[topics.color]
-    why = "have the time of another in their header,"
-    tell_left_out(f"{bag.path}: {topics.color}", total - len(colors), total, why)
+    tell_left_out(f"{bag.path}: {topics.color}", total - len(colors), total, "have the time of another in a header,")
     depths = [] if topics.depth is None else bag.stamps(topics.depth)
     depth_of = dict(associate([one.time for one in colors], [one.time for one in depths], limit))
     lost, why = 0 if depth_of else len(depths), f"have no image of {topics.color} within {limit} s (another clock?),"
