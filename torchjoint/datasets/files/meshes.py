@@ -83,6 +83,8 @@ def read_mesh_file(path: Path) -> CloudFile:
         raise ValueError(f"{path}: expected a mesh with vertices, got none")
     if mesh.faces is None and _NORMALS.search(data):
         warnings.warn(f"{path}: normals are not read of {path.suffix} files", stacklevel=4)
+    if mesh.colors is None and suffix == ".obj" and b"mtllib" in data and b"usemtl" in data:
+        warnings.warn(f"{path}: no colours are read: its materials are not in its first mtllib", stacklevel=4)
     low, high = (0, 0) if mesh.faces is None else map(int, mesh.faces.aminmax())
     if not 0 <= low <= high < len(mesh.points):
         raise ValueError(f"{path}: expected faces of {len(mesh.points)} vertices, got {low} to {high}")
