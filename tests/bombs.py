@@ -178,6 +178,16 @@ BOMBS: dict[str, Bomb] = {
     "array": Bomb("size", ".npy", npy((10**9, 3), "<f8"), read_array, "a shape that fits"),
     "array of negative size": Bomb("size", ".npy", npy((-1, -(10**9)), "<f8"), read_array, "a shape that fits"),
     "cloud of no length": Bomb("count", ".npz", npz(points=npy((10**9, 3), "<U0")), read_cloud_file, "or texts"),
+    "points that are packed": Bomb(
+        "count", ".npz", saved(points=np.zeros((10**7, 3), np.uint8)), read_cloud_file, "points in .* bytes"
+    ),
+    "triangles that are packed": Bomb(
+        "count",
+        ".npz",
+        saved(points=np.zeros((3, 3)), faces=np.zeros((10**7, 3), np.uint8)),
+        read_cloud_file,
+        "points in .* bytes",
+    ),
     "names of no length": Bomb(
         "count",
         ".npz",
@@ -300,5 +310,8 @@ BOMBS: dict[str, Bomb] = {
     "masks that are EPS": Bomb("program", ".png", EPS, MASKS, "expected one of PNG, JPEG"),
     "JPEG of many scans": Bomb("sum", ".jpg", jpeg_of_scans(300, 8000), read_image, "pixels in all scans"),
     "image that is TIFF": Bomb("program", ".jpg", tiff(), read_image, "expected one of PNG, JPEG"),
+    "YAML of one hash": Bomb(
+        "count", ".yaml", b"".join(b"%d: 1\n" % (i * (2**61 - 1)) for i in range(999)), read_yaml, "at most 19 digits"
+    ),
     "YAML": Bomb("size", ".yaml", b"#" * (1 << 22) + b"\n{}", read_yaml, "bytes of"),
 }

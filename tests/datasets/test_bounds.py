@@ -17,6 +17,7 @@ import traps
 
 import torchjoint as tj
 from torchjoint.datasets.files.clouds import read_cloud_file
+from torchjoint.datasets.files.meshes import bound_textures
 from torchjoint.datasets.files.ply import read_ply
 from torchjoint.datasets.files.readers import decode_image
 from torchjoint.masks.rle import polygon_pixels
@@ -174,6 +175,30 @@ class TestLittleMemory:
         (tmp_path / "transforms.json").write_text(json.dumps(keys | {"frames": [{}] * 3000}))
         with pytest.raises(ValueError, match=r"transforms\.json: expected at most \d+ values of all frames"):
             tj.load_scene(tmp_path)
+
+    def test_many_parts_of_one_name(self, tmp_path, monkeypatch):
+        """trimesh tries all numbers for each name that is taken: 18,000 took a minute."""
+        from trimesh import util
+        from trimesh.scene import scene
+
+        bound_textures()
+        for module in (util, scene):
+            monkeypatch.setattr(module, "unique_name", pytest.fail)
+        solid = "solid\n{}endsolid\n"
+        solids = (solid.format("".join(f"vertex {x} {y} {at}\n" for x, y in ("00", "10", "01"))) for at in range(9))
+        (tmp_path / "a.stl").write_text("".join(solids))
+        assert read_cloud_file(tmp_path / "a.stl").points[::3, 2].tolist() == list(range(9))
+
+    def test_a_mask_of_many_large_polygons(self, tmp_path):
+        """Their pixels together would take a gigabyte, and be sorted; a kilobyte of text became 16 GB."""
+        corners = [[0, 0, 1500, 0, 1500, 1500, 0, 1500]] * 60
+        (tmp_path / "a.json").write_bytes(bombs.coco(1500, 1600, corners))
+        tracemalloc.start()
+        try:
+            assert bombs.read_coco(tmp_path / "a.json").areas().tolist() == [1500 * 1500]
+            assert tracemalloc.get_traced_memory()[1] < 500_000_000
+        finally:
+            tracemalloc.stop()
 
     def test_masks_of_a_large_image(self, tmp_path):
         """60 small masks of 64 megapixels: a stack would take 4 GB."""

@@ -49,6 +49,7 @@ class _Loader(yaml.SafeLoader):
 def _whole_number(_: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
     """YAML 1.1 reads 010 as 8 and 1:30 as 90: here a number has the value that people read, or is an error."""
     with damage_is(f"expected a whole number, got {node.value[:60]!r}"):
+        bounds.check(len(node.value), 19, "digits")  # larger ones can have one hash, and dicts of them take long
         return int(node.value)
 
 

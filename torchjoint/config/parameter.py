@@ -34,8 +34,7 @@ def parameter(
         too_low, too_high: what a result looks like if the value is too low or too high. Only the few parameters that
             users change have these texts; the documents show them in a separate table.
     """
-    declared = {**locals(), "choices": tuple(choices)}  # the arguments by name
-    return field(default=default, metadata=declared)
+    return field(default=default, metadata={**locals(), "choices": tuple(choices)})  # the arguments by name
 
 
 @dataclass(frozen=True)

@@ -176,7 +176,8 @@ class Volume:
             following_row = torch.where(voxel[:, axis] == SIDE - 1, next_row[block], row[block])
             following_voxel = (voxel + torch.eye(3, dtype=torch.int64)[axis]) % SIDE
             ends = (row[block], voxel), (following_row, following_voxel)
-            first, second = (_color(sums[rows, *voxels.unbind(1)]) for rows, voxels in ends)
+            cells = (sums[rows, *voxels.unbind(1)].double() for rows, voxels in ends)
+            first, second = (cell[:, 2:] / cell[:, 1:2] for cell in cells)
             found.append(torch.cat([center, torch.lerp(first, second, share)], 1))
         self._drop(len(row))
         return torch.cat(found)
@@ -191,7 +192,3 @@ def _distance(cells: Tensor) -> Tensor:
     """The mean distance of voxels to the surface, in units of the truncation; infinite where nothing was measured."""
     total, weight = cells[..., 0].double(), cells[..., 1].double()
     return torch.where(weight > 0, total / (UNIT * weight), torch.inf)
-
-
-def _color(cells: Tensor) -> Tensor:
-    return cells[:, 2:].double() / cells[:, 1:2].double()

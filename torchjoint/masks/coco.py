@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from torchjoint.masks.segmentation import Pixels, check_box, check_declared, merged, pixels_of
+from torchjoint.masks.segmentation import check_declared, merged, pixels_in_box
 from torchjoint.runtime.foreign_files import damage_is, dict_of, no_twice, read_json
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.masks import Masks
@@ -38,7 +38,7 @@ def from_coco(
     annotations = _with_pixels(annotations, "annotations")
     scores = torch.tensor([_score(one, f"annotations[{i}]") for i, one in enumerate(annotations)], dtype=torch.float32)
     check_declared((annotation["segmentation"] for annotation in annotations), size, "annotations")
-    masks = (_pixels(one, size, f"annotations[{index}]'s segmentation") for index, one in enumerate(annotations))
+    masks = (pixels_in_box(one, size, f"annotations[{index}]'s segmentation") for index, one in enumerate(annotations))
     found = merged(masks, len(annotations), size, scores, "annotations")
     ids = [one["id"] for one in annotations if isinstance(one.get("id"), int)]
     if len(ids) < sum(one.get("id") is not None for one in annotations):
@@ -59,12 +59,6 @@ def _with_pixels(annotations: Sequence[Mapping[str, Any]], name: str) -> list[Ma
         if any(left):
             warnings.warn(f"{name}: {sum(left)} of {len(left)} {what}; they are left out", stacklevel=3)
     return [one for one, *left in zip(annotations, groups, bare, strict=True) if not any(left)]
-
-
-def _pixels(annotation: Mapping[str, Any], size: tuple[int, int], name: str) -> Pixels:
-    found = pixels_of(annotation["segmentation"], size, name)
-    check_box(annotation, *found, name)
-    return found
 
 
 def _score(annotation: Mapping[str, Any], name: str) -> float:

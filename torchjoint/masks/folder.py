@@ -1,6 +1,7 @@
 """Masks of a recording in a folder."""
 
 import csv
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -13,6 +14,7 @@ import torch
 from torch.utils.data import Subset
 
 from torchjoint.datasets.files.readers import read_label_image, read_raster
+from torchjoint.datasets.files.text import parse_numbers
 from torchjoint.masks.arrays import as_binary, as_tensor, from_labels
 from torchjoint.masks.coco import CocoFile
 from torchjoint.masks.networks import from_sam
@@ -164,10 +166,7 @@ def _scores(path: Path, ids: list[str]) -> list[float] | None:
         if name not in rows:
             raise ValueError(f"{path}: expected a line with id {name}")
         values = [rows[name].get(column) or "1" for column in ("predicted_iou", "stability_score")]
-        try:
-            scores.append(float(values[0]) * float(values[1]))
-        except ValueError as error:
-            raise ValueError(f"{path}: expected numbers in the line with id {name}, got {', '.join(values)}") from error
+        scores.append(math.prod(parse_numbers(values, f"{path}: line with id {name}", finite=False)))
     return [score if score != score else min(max(score, 0.0), 1.0) for score in scores]  # Masks checks for NaN
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from torchjoint.masks.arrays import as_binary, as_scores, as_tensor
-from torchjoint.masks.segmentation import Pixels, check_box, check_declared, merged, pixels_of
+from torchjoint.masks.segmentation import Pixels, check_declared, merged, pixels_in_box
 from torchjoint.runtime.threads import on_cpu
 from torchjoint.scene.checks import as_labels
 from torchjoint.scene.masks import INT64, Masks
@@ -40,11 +40,10 @@ def from_sam(records: Sequence[Mapping[str, Any]], size: tuple[int, int] | None 
 
 
 def _pixels(record: Mapping[str, Any], size: tuple[int, int] | None, name: str) -> Pixels:
-    own, pixels = pixels_of(record["segmentation"], size, f"{name}'s segmentation")
+    own, pixels = pixels_in_box(record, size, f"{name}'s segmentation")
     area = record.get("area")
     if area is not None and area != len(pixels):
         raise ValueError(f"{name}'s area: expected the mask's {len(pixels)} pixels, got {area}")
-    check_box(record, own, pixels, f"{name}'s segmentation")
     return own, pixels
 
 

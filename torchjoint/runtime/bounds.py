@@ -7,11 +7,11 @@ a large file may hold more.
 #: Pixels of an image, of a mask, or numbers of all channels of an image of floats.
 PIXELS = 64_000_000
 #: Pixels inside all masks of one image together, or around its polygons.
-INSIDE = 1 << 29
+INSIDE = 1 << 28
 #: Masks of one image; pairs of a mask and an atom in it, of which nested masks have many; or of a frame and a key.
 MASKS, PAIRS = 1 << 16, 1 << 22
 #: Rows of all edges of an image's polygons together: each row that an edge crosses takes a step.
-EDGE_ROWS = 1 << 26
+EDGE_ROWS = 1 << 24
 
 #: Bytes of an image's file, of its EXIF data, of text that is read as a whole, of JSON, and of YAML, which takes a
 #: thousand times as long.

@@ -70,6 +70,7 @@ def las(path, record):
         (WktCoordinateSystemVlr('PROJCRS["of a plant",CS[Cartesian,2],LENGTHUNIT["millimetre", 0.001]]'), True),
         (keys(k1024=1, k3072=2277, k3076=9003), True),
         (keys(k1024=1, k3072=2263), True),  # by EPSG, of New York
+        (keys(k1024=1, k3072=26743), True),  # of California, NAD27
         (keys(k1024=1, k3072=25832, k4096=6360), True),
         (keys(k1024=1, k3072=32632, k3076=9001, k4099=9003), True),  # only heights
         (keys(k1024=1, k3072=32767, k3076=1025), True),
@@ -96,6 +97,7 @@ def test_lengths_that_are_no_metres(tmp_path, record, is_told):
         WktCoordinateSystemVlr('GEOGCS["WGS 84",UNIT["degree",0.0174532925199433]]'),
         WktCoordinateSystemVlr(f'COMPD_CS["both", GEOGCS["WGS 84"],{HEIGHT}]'),
         keys(k1024=2, k2048=4326),
+        keys(k1024=3, k2048=4978),  # z is not up
     ],
 )
 def test_degrees_are_an_error(tmp_path, record):

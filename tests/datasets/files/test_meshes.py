@@ -352,6 +352,14 @@ def test_vertices_of_an_obj_at_one_place(tmp_path):
     assert faces.tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7], [4, 5, 6]]
 
 
+def test_materials_of_a_second_library_are_told(tmp_path):
+    path = obj(tmp_path, seams=True)
+    path.write_bytes(path.read_bytes().replace(b"mtllib m.mtl", b"mtllib other.mtl\nmtllib m.mtl"))
+    (tmp_path / "other.mtl").write_text("newmtl other\nKd 1 0 0\n")
+    with pytest.warns(UserWarning, match="no colours are read: its materials are not in its first mtllib"):
+        assert read_cloud_file(path).colors is None
+
+
 def test_a_programs_own_use_of_the_library_stays(tmp_path):
     Image.new("RGB", (4, 4), RED).save(tmp_path / "a.gif")
     (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd a.gif\n")

@@ -15,6 +15,7 @@ from torchjoint.datasets.files.pcd import read_pcd
 from torchjoint.datasets.files.ply import read_ply
 from torchjoint.datasets.files.readers import read_array
 from torchjoint.datasets.files.text_clouds import cloud_of_letters, cloud_of_rows, read_text_cloud
+from torchjoint.runtime import bounds
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.foreign_files import damage_is, present
 from torchjoint.scene.checks import Beams, Invalid, kept_points, tell_degrees
@@ -154,6 +155,7 @@ def _from_archive(path: Path) -> CloudFile:
         if name in values and (values[name].shape != (count, 3) or values[name].dtype.kind in "US"):
             got = f"{values[name].dtype} {[*values[name].shape]}"
             raise ValueError(f"{name}: expected a row of three numbers for each point, got {got}")
+    bounds.check_points(max(count, len(values.get("faces", ()))), path.stat().st_size)
     tell_not_read(set(values) - {*names, "faces"}, str(path))
     columns = {name: values[array][:, at] for array in names if array in values for at, name in enumerate(names[array])}
     cloud, faces = cloud_of(columns, str(path)), values.get("faces", np.empty(0))

@@ -144,7 +144,6 @@ def _pose(header: Any) -> tuple[Array, Array]:
 
 def _limit(header: Any, name: str, end: str) -> float:
     """A limit of a colour; 0 if the file has none."""
-    if not header.node.isDefined(f"colorLimits/{name}{end}"):
-        return 0.0
-    value = float(header.node["colorLimits"][f"{name}{end}"].value())
+    key = f"colorLimits/{name}{end}"
+    value = float(header.node[key].value()) if header.node.isDefined(key) else 0.0
     return value if math.isfinite(value) else 0.0

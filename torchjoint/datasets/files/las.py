@@ -34,13 +34,13 @@ COPC = ".copc.laz"
 CHUNK = 1_000_000
 #: Sizes of the header's fixed part, and of the header of a variable length record, bytes.
 HEADER, RECORD = 227, 54
-#: Keys of GeoTIFF: the projected coordinate system, the geographic one, and their value if the code is not EPSG's.
-PROJECTED, GEOGRAPHIC, USER_DEFINED = 3072, 2048, 32767
-#: Keys of the kind of coordinates, 2 for degrees, and of the units of lengths and of heights; codes of metres, or none;
-#: and the record of WKT.
+#: Keys of GeoTIFF: the projected system, the geographic one, that of heights; their value if the code is not EPSG's.
+PROJECTED, GEOGRAPHIC, VERTICAL, USER_DEFINED = 3072, 2048, 4096, 32767
+#: Keys of the kind of coordinates (2: degrees, 3: geocentric) and of the units of lengths and of heights; codes of
+#: metres, or none; and the record of WKT.
 MODEL, UNITS, METRES, WKT = 1024, (3076, 4099), (0, 9001, USER_DEFINED), ("LASF_Projection", 2112)
-#: EPSG's codes in feet: NAD83, by states of the US; heights, NAVD88; the key of the system of heights.
-IN_FEET, HEIGHTS_IN_FEET, VERTICAL = range(2222, 2290), (6360, 8228), 4096
+#: EPSG's codes in feet: NAD83, its HARN, NAD27, by states of the US, and heights, NAVD88.
+IN_FEET = {*range(2222, 2290), *range(2867, 2931), *range(26729, 26804), *range(32001, 32059), 6360, 8228}
 #: In WKT, a unit that is neither an angle nor 1 metre.
 _NO_METRE = re.compile(r'\b(LENGTH)?UNIT\["(?![^"]*(deg|grad|rad|gon|arc|dms))[^"]*",(?!\s*1(\.0*)?\s*[],])', re.I)
 #: The process that imported this module. One that is forked from it lacks the threads that lazrs waits for.
@@ -83,12 +83,12 @@ def epsg_of(path: Path) -> int | None:
 def tell_unit(reader: Any, path: Path) -> bool:
     """Warns if the coordinate system of an open file has no metres, and returns whether; degrees are an error."""
     text, keys = _system(reader)
-    if re.match(r'\s*(COMP\w+\["[^"]*",\s*)?GEO\w+\[', text) or keys.get(MODEL) == 2:
+    if re.match(r'\s*(COMP\w+\["[^"]*",\s*)?GEO\w+\[', text) or keys.get(MODEL) in (2, 3):
         raise ValueError(
-            f"{path}: expected a coordinate system in metres, got one in degrees; project it before, such as with "
+            f"{path}: expected a coordinate system in metres, got one in degrees or geocentric; project it, such as by "
             "`pdal translate IN.laz OUT.laz reprojection --filters.reprojection.out_srs=EPSG:25832`"
         )
-    has_feet = keys.get(PROJECTED) in IN_FEET or keys.get(VERTICAL) in HEIGHTS_IN_FEET or bool(_NO_METRE.search(text))
+    has_feet = bool(IN_FEET & {keys.get(PROJECTED), keys.get(VERTICAL)}) or bool(_NO_METRE.search(text))
     if no_metre := has_feet or any(keys.get(unit, 0) not in METRES for unit in UNITS):
         warnings.warn(f"{path}: its coordinate system has feet or other units; taken as metres", stacklevel=4)
     return no_metre

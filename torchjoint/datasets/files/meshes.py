@@ -2,6 +2,7 @@
 
 import base64
 import io
+import itertools
 import os
 import re
 import struct
@@ -9,7 +10,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextvars import ContextVar, copy_context
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO
@@ -83,6 +83,8 @@ def read_mesh_file(path: Path) -> CloudFile:
         raise ValueError(f"{path}: expected a mesh with vertices, got none")
     if mesh.faces is None and _NORMALS.search(data):
         warnings.warn(f"{path}: normals are not read of {path.suffix} files", stacklevel=4)
+    if mesh.colors is None and suffix == ".obj" and b"mtllib" in data and b"usemtl" in data:
+        warnings.warn(f"{path}: no colours are read: its materials are not in its first mtllib", stacklevel=4)
     low, high = (0, 0) if mesh.faces is None else map(int, mesh.faces.aminmax())
     if not 0 <= low <= high < len(mesh.points):
         raise ValueError(f"{path}: expected faces of {len(mesh.points)} vertices, got {low} to {high}")
@@ -172,7 +174,7 @@ def _faces_of_obj(data: bytes, count: int) -> Tensor:
 
 def _fans(polygons: Sequence[Sequence[int]]) -> Tensor:
     """The triangles [F, 3] of polygons, from the first corner of each."""
-    triangles = [(one[0], *edge) for one in polygons for edge in pairwise(one[1:])]
+    triangles = [(one[0], *edge) for one in polygons for edge in itertools.pairwise(one[1:])]
     return torch.tensor(triangles, dtype=torch.int64).reshape(-1, 3)
 
 
@@ -221,6 +223,8 @@ class MeshParts:
         #: The first file that is there and cannot be read: trimesh goes on without colours.
         self.error: ValueError | None = None
         self._pixels = 0
+        #: For names that trimesh makes.
+        self.numbers = itertools.count(1)
 
     def __getitem__(self, name: str) -> bytes:
         """The bytes of a file."""
@@ -266,8 +270,9 @@ class MeshParts:
 def bound_textures() -> None:
     """Makes trimesh read our files otherwise. It decodes textures with our decoder: Pillow would go by their content.
 
-    And it divides colours of 16 bits, of which it takes the low byte.
+    And it divides colours of 16 bits, of which it takes the low byte. It tries all numbers for each name that is taken.
     """
+    from trimesh import scene, util
     from trimesh.exchange import gltf, obj
     from trimesh.visual import color
 
@@ -278,7 +283,13 @@ def bound_textures() -> None:
     def to_rgba(theirs: Callable[..., Any], colors: Any, dtype: Any = np.uint8) -> Any:
         return theirs(colors / 65535 if getattr(colors, "dtype", None) == np.uint16 else colors, dtype)
 
+    def unique_name(theirs: Callable[..., str], start: str | None, contains: Any, counts: Any = None) -> str:
+        free = (f"{start or 'geometry'}_{at}" for at in _READS.get().numbers)
+        return start if start and start not in contains else next(name for name in free if name not in contains)
+
     in_ours(color, "to_rgba", to_rgba)
+    in_ours(util, "unique_name", unique_name)
+    in_ours(scene.scene, "unique_name", unique_name)
     in_ours(gltf, "_parse_textures", lambda _, tree, views, parts: parts.images(tree, views))
     vars(obj)["Image"] = SimpleNamespace(open=lambda file: getattr(_READS.get(), "texture", Image.open)(file))
     # A part with places in a texture, but without a material, has no colour; trimesh would make it grey.

@@ -94,8 +94,7 @@ def _parse_header(path: Path, start: bytes) -> PcdHeader:
     entries = dict_of(lines, f"{path}: line")
     with damage_is(f"{path}: not a PCD file, or its header is damaged"):
         names, types, (encoding,) = entries["FIELDS"], entries["TYPE"], entries["DATA"]
-        entries.setdefault("COUNT", ["1"] * len(names))
-        entries.setdefault("POINTS", [])
+        entries = {"COUNT": ["1"] * len(names), "POINTS": []} | entries
         sizes, counts, points, (width,), (height,) = (
             [parse_integer(word, key) for word in entries[key]]
             for key in ("SIZE", "COUNT", "POINTS", "WIDTH", "HEIGHT")
@@ -147,13 +146,9 @@ def _read_compressed(path: Path, body: memoryview, header: PcdHeader, expected: 
         raise ValueError(f"{path}: expected {expected} bytes of {header.num_points} points, got {uncompressed}")
     _check_length(path, header, compressed, body[8:])
     values = decompress(bytes(body[8 : 8 + compressed]), expected, str(path))
-    fields, offset = {}, 0
-    for name, dtype in header.fields.items():
-        # frombuffer does not support types with a shape.
-        column = np.frombuffer(values, dtype.base, header.num_points * int(np.prod(dtype.shape)), offset)
-        fields[name] = column.reshape(header.num_points, *dtype.shape)
-        offset += column.nbytes
-    return fields
+    ends = np.cumsum([header.num_points * dtype.itemsize for dtype in header.fields.values()])
+    parts = zip(header.fields.items(), np.split(np.frombuffer(values, np.uint8), ends[:-1]), strict=True)
+    return {name: part.view(dtype.base).reshape(-1, *dtype.shape) for (name, dtype), part in parts}
 
 
 def _check_length(path: Path, header: PcdHeader, expected: int, body: memoryview) -> None:
@@ -192,12 +187,8 @@ def decompress(data: bytes, size: int, name: str = "data") -> bytearray:
             place += 1
             if start < 0:
                 raise IndexError
-            stop = start + length + 2
-            if stop <= len(out):
-                out += out[start:stop]
-            else:  # the copy overlaps its own output: it repeats a pattern
-                pattern = out[start:]
-                out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
+            pattern = out[start : start + length + 2]  # a copy that overlaps its own output repeats it
+            out += (pattern * ((length + 2) // len(pattern) + 1))[: length + 2]
     if len(out) != size or place != end:
         raise ValueError(f"{name}: damaged: expected {size} bytes of LZF data, got {len(out)}")
     return out

@@ -58,6 +58,5 @@ def _shot(path: Path, camera: Record, name: str) -> Shot:
 
 def _instances(records: list[Record], points: Tensor) -> Tensor:
     boxes = numbers_of(records, "bbox_3d", 7)
-    centers, sizes, yaw = boxes[:, :3], boxes[:, 3:6], boxes[:, 6]
     names = [f"{record.name}: bbox_3d" for record in records]
-    return instances_in_boxes(points, centers, sizes, rotations_about(2, yaw), names)
+    return instances_in_boxes(points, boxes[:, :3], boxes[:, 3:6], rotations_about(2, boxes[:, 6]), names)
