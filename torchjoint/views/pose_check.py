@@ -431,10 +431,9 @@ def _nearby_complaints(differences: Tensor) -> dict[str, str]:
 def _edge_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
     if alignment is None or alignment.significance >= CHANCE:
         return {}
-    told = "image edges coincide with depth jumps of the points no more than by chance (correlation "
-    told += f"{alignment.correlation:.2f}, {alignment.significance:+.1f} standard deviations from that of shifted "
-    told += "images; right poses have +2.6 and more): wrong extrinsics or intrinsics?"
-    return {"edges": told}
+    told = f"{alignment.significance:+.1f} standard deviations from shifted images, right poses have +2.6 and more"
+    what = "image edges coincide with depth jumps of the points no more than by chance"
+    return {"edges": f"{what} ({told}): wrong extrinsics or intrinsics?"}
 
 
 def _mask_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
@@ -442,9 +441,8 @@ def _mask_complaints(alignment: EdgeAlignment | None) -> dict[str, str]:
         return {}
     if (alignment.significance + MASK_CHANCE) * alignment.deviation >= MASK_RIGHT:
         return {}
-    told = "edges of the images are no stronger at the borders of masks or labels than elsewhere ("
-    told += f"{alignment.significance:+.1f} standard deviations from shifted images): are they of other images, "
-    return {"masks": told + "mirrored or turned?"}
+    what = "edges of the images are no stronger at the borders of masks or labels than elsewhere"
+    return {"masks": f"{what}: are they of other images, mirrored or turned?"}
 
 
 def _fits_better(given: PoseAgreement, other: PoseAgreement, kind: str) -> bool:
@@ -495,17 +493,16 @@ def _complaints(given: PoseAgreement, others: dict[str, PoseAgreement], off_cent
         told = f"the depth images and the cloud disagree by {given.depth_residual:.1%} (median)"
         complaints["depth"] = f"{told}: wrong poses, intrinsics or units?"
     elif given.color_exchanged > max(CHANCE_CORRELATION, given.color_correlation + EXCHANGED):
-        told = "the colours of the points agree better with those of the images if red and blue are exchanged "
-        told += f"(correlation {given.color_exchanged:.2f} for {given.color_correlation:.2f})"
+        told = "the colours of the points agree better with those of the images if red and blue are exchanged"
         complaints["channels"] = f"{told}: is one of them BGR?"
     elif (
         given.color_by_chance > LEAST_CONTRAST
         and given.color_residual > CHANCE_SHARE * given.color_by_chance
         and given.color_correlation < CHANCE_CORRELATION
     ):
-        told = "the colours of the points and of the images agree no more than by chance (they differ by "
-        told += f"{given.color_residual:.2f}, and by {given.color_by_chance:.2f} in shifted images)"
-        complaints["color"] = f"{told}: wrong poses, or poses of other images?"
+        told = f"they differ by {given.color_residual:.2f}, and by {given.color_by_chance:.2f} in shifted images"
+        what = "the colours of the points and of the images agree no more than by chance"
+        complaints["color"] = f"{what} ({told}): wrong poses, or poses of other images?"
     if off_center > 0.2:
         told = f"the principal point is {off_center:.0%} of the image's size off its centre: are the intrinsics those "
         told += "of another image size? (Scale them with the image.)"

@@ -71,6 +71,8 @@ def las(path, record):
         (keys(k1024=1, k3072=2277, k3076=9003), True),
         (keys(k1024=1, k3072=2263), True),  # by EPSG, of New York
         (keys(k1024=1, k3072=26743), True),  # of California, NAD27
+        (keys(k1024=1, k3072=6418), True),  # of California, NAD83(2011)
+        (keys(k1024=1, k3072=6417), False),  # the same in metres
         (keys(k1024=1, k3072=25832, k4096=6360), True),
         (keys(k1024=1, k3072=32632, k3076=9001, k4099=9003), True),  # only heights
         (keys(k1024=1, k3072=32767, k3076=1025), True),
@@ -103,7 +105,7 @@ def test_lengths_that_are_no_metres(tmp_path, record, is_told):
 def test_degrees_are_an_error(tmp_path, record):
     path = las(tmp_path / "a.las", record)
     for read in (read_las, lambda one: _bounds([one])):
-        with pytest.raises(ValueError, match=r"a\.las: expected a coordinate system in metres, got one in degrees"):
+        with pytest.raises(ValueError, match=r"a\.las: expected coordinates in metres, got degrees, or geocentric"):
             read(path)
 
 

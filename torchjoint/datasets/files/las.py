@@ -39,8 +39,14 @@ PROJECTED, GEOGRAPHIC, VERTICAL, USER_DEFINED = 3072, 2048, 4096, 32767
 #: Keys of the kind of coordinates (2: degrees, 3: geocentric) and of the units of lengths and of heights; codes of
 #: metres, or none; and the record of WKT.
 MODEL, UNITS, METRES, WKT = 1024, (3076, 4099), (0, 9001, USER_DEFINED), ("LASF_Projection", 2112)
-#: EPSG's codes in feet: NAD83, its HARN, NAD27, by states of the US, and heights, NAVD88.
-IN_FEET = {*range(2222, 2290), *range(2867, 2931), *range(26729, 26804), *range(32001, 32059), 6360, 8228}
+#: EPSG's codes in feet: NAD83, its HARN, NAD27, and heights; and every second code of NSRS2007 and NAD83(2011).
+_EACH = "2222-2289 2867-2930 26729-26803 32001-32058 3417-3438 3441-3446 3451-3459 6360-6360 8228-8228"
+_SECOND = (
+    "3479-3487 3490-3512 3515-3553 3582-3590 3598-3600 3608-3636 3640-3664 3668-3676 3677-3679 3680-3682 3686-3692 "
+    "3696-3700 6405-6413 6416-6438 6441-6479 6484-6496 6499-6507 6515-6565 6568-6578 6582-6590 6593-6609 6612-6618"
+)
+_RANGES = ((*map(int, one.split("-")), step) for step, text in ((1, _EACH), (2, _SECOND)) for one in text.split())
+IN_FEET = {code for first, last, step in _RANGES for code in range(first, last + 1, step)}
 #: In WKT, a unit that is neither an angle nor 1 metre.
 _NO_METRE = re.compile(r'\b(LENGTH)?UNIT\["(?![^"]*(deg|grad|rad|gon|arc|dms))[^"]*",(?!\s*1(\.0*)?\s*[],])', re.I)
 #: The process that imported this module. One that is forked from it lacks the threads that lazrs waits for.
@@ -84,10 +90,8 @@ def tell_unit(reader: Any, path: Path) -> bool:
     """Warns if the coordinate system of an open file has no metres, and returns whether; degrees are an error."""
     text, keys = _system(reader)
     if re.match(r'\s*(COMP\w+\["[^"]*",\s*)?GEO\w+\[', text) or keys.get(MODEL) in (2, 3):
-        raise ValueError(
-            f"{path}: expected a coordinate system in metres, got one in degrees or geocentric; project it, such as by "
-            "`pdal translate IN.laz OUT.laz reprojection --filters.reprojection.out_srs=EPSG:25832`"
-        )
+        way_out = "`pdal translate IN.laz OUT.laz reprojection --filters.reprojection.out_srs=EPSG:25832` projects it"
+        raise ValueError(f"{path}: expected coordinates in metres, got degrees, or geocentric ones; {way_out}")
     has_feet = bool(IN_FEET & {keys.get(PROJECTED), keys.get(VERTICAL)}) or bool(_NO_METRE.search(text))
     if no_metre := has_feet or any(keys.get(unit, 0) not in METRES for unit in UNITS):
         warnings.warn(f"{path}: its coordinate system has feet or other units; taken as metres", stacklevel=4)
@@ -105,10 +109,8 @@ def _system(reader: Any) -> tuple[str, dict[int, int]]:
 def check_no_copc(out: Path) -> None:
     """Checks that the name of a new file does not promise COPC."""
     if out.name.lower().endswith(COPC):
-        raise ValueError(
-            f"out: expected a name that ends in .laz, got {out}: COPC is read but not written, because it prescribes "
-            "another order of points (untwine or `pdal translate` converts a .laz to COPC)"
-        )
+        told = "COPC is read but not written: it prescribes another order of points (untwine converts a .laz)"
+        raise ValueError(f"out: expected a name that ends in .laz, got {out}: {told}")
 
 
 @contextmanager
