@@ -328,7 +328,8 @@ class JointSegmenter(nn.Module):
     def update(self, frames: Frame | Sequence[Frame]) -> None:
         """Adds the evidence of one or several frames (steps 1, 2, 4, 5).
 
-        The image modules process consecutive frames of the same size as one batch.
+        The image modules process consecutive frames of the same size as one batch. A frame that is given twice counts
+        twice.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.

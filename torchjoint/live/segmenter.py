@@ -245,7 +245,8 @@ class LiveSegmenter(nn.Module):
     def update(self, frames: Frame | Sequence[Frame]) -> None:
         """Fuses the depth of one or several frames, and finds the segments of those that are keyframes.
 
-        A frame without depth adds only evidence. An error leaves out the whole frame, and those after it.
+        A frame without depth adds only evidence. An error leaves out the whole frame, and those after it. A frame that
+        is given twice counts twice; an interruption (Ctrl-C) may leave a frame fused that is not in `names`.
 
         Raises:
             ValueError: the surface has become too large; a camera is too far from the first one; or, after some
