@@ -77,11 +77,11 @@ def merge_regions(
     """Repeatedly merge the two neighbouring regions with the lowest mean boundary cost, up to a threshold.
 
     The boundary of two regions consists of all edges between them. When two regions merge, their boundaries with the
-    same third region become one boundary. Afterwards, regions smaller than ``min_size`` are merged across boundaries in
-    the same order, until no such region has a neighbour. This is average-linkage agglomeration (R. Sokal and C.
+    same third region become one boundary. Afterwards, regions smaller than ``min_size`` are merged across the boundary
+    with the lowest mean, until no such region has a neighbour. This is average-linkage agglomeration (R. Sokal and C.
     Michener, 1958) of the region adjacency graph, as P. Arbeláez et al. (PAMI 2011) merge image regions. With
     ``by_size``, the mean is multiplied by a b / (a + b) for regions of sizes a and b, as in J. Ward's criterion (1963):
-    small regions merge first, and large ones only across the weakest boundaries.
+    small regions merge first, and large ones only across the weakest boundaries. ``min_size`` always goes by the mean.
 
     Costs are rounded to multiples of 2^-20, so that sums are exact (below 2^33 per boundary). Of boundaries with equal
     means, the one with the lowest number is merged first. Boundaries are numbered by their first edges; a joined

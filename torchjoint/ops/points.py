@@ -137,7 +137,8 @@ def project(
         intrinsics: ``[3, 3]`` float64, pixels, without skew; pixel centres have integer coordinates.
         near, far: points with ``near < z < far`` are kept, metres; ``near > 0``.
         height, width: size of the image, pixels.
-        margin: width added to the image frame on each side, pixels.
+        margin: width added to the image frame on each side, whole pixels: the column of the nearest pixel is kept in
+            [-margin, width + margin), the row likewise. So a fraction adds one more pixel on the right and below.
 
     Returns:
         The points that are kept, in their order: ``point`` ``[M]`` int64, the point's number; ``u`` and ``v`` ``[M]``
