@@ -149,7 +149,10 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
         ('{"point_annotations": [1, -2, 1], "annotations": []}', "expected ids >= 0"),
         ('{"point_annotations": [1, 2.5, 1], "annotations": []}', "expected a list of integers"),
         ('{"point_annotations": [1, 2, 1]}', "annotations: missing"),
-        ('{"point_annotations": [1, 2, 1], "annotations": [{"id": 1, "attributes": {"name": 3}}]}', "expected a string, got 3"),
+        (
+            '{"point_annotations": [1, 2, 1], "annotations": [{"id": 1, "attributes": {"name": 3}}]}',
+            "expected a string, got 3",
+        ),
         ('{"point_annotations": [1, 2, 1], "annotations": [{"attributes": {"name": "a"}}]}', "id: missing"),
         (
             '{"point_annotations": [1, 2, 1], "annotations": [{"id": 1, "attributes": {"name": "a"}}, '
