@@ -43,7 +43,7 @@ def pick(result: Segmentation, cloud: Tensor, chosen: Prompts, negative: Prompts
     wanted = _superpoints(result, cloud, chosen, "points", "pixels")
     unwanted = _superpoints(result, cloud, negative, "negative", "negative_pixels")
     if not wanted or -1 in wanted:  # without a hierarchy, points may have no label
-        raise ValueError(f"points, pixels: expected at least one, each of a segment (not -1), got {sorted(wanted)}")
+        raise ValueError(f"points, pixels: expected at least one point, each of a segment, got {sorted(wanted)}")
     if both := wanted & unwanted:
         told = f"negative: expected points apart from the chosen ones, but both are in superpoint {min(both)}"
         raise ValueError(f"{told}, the smallest part that the segmentation knows")
