@@ -74,7 +74,9 @@ def test_positions_and_pixels():
 def test_a_point_without_a_label_is_no_pick():
     result = tj.Result.of(tj.Segmentation(torch.tensor([0, -1, -1, 1]), ()), tj.Scene(torch.rand(4, 3)))
     for chosen in ([1], [0, 2]):
-        with pytest.raises(ValueError, match=r"points, pixels: expected at least one point, each of a segment, got \[-1"):
+        with pytest.raises(
+            ValueError, match=r"points, pixels: expected at least one point, each of a segment, got \[-1"
+        ):
             result.pick(torch.tensor(chosen))
     assert result.pick(torch.tensor([0]), negative=torch.tensor([1])).superpoints.tolist() == [0]
 
