@@ -1,7 +1,6 @@
 """Workers, heads, connections, memory and disks fail; each time the files end up those of an undisturbed run."""
 
 import gc
-import logging
 import os
 import signal
 import socket
@@ -9,8 +8,9 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from unittest.mock import Mock
 
 import psutil
 import pytest
@@ -19,6 +19,7 @@ from folder_files import write_scans
 from test_batch import HereExecutor
 
 import torchjoint as tj
+from torchjoint.engine import open_engine
 
 pytestmark = [
     pytest.mark.slow,
@@ -204,18 +205,11 @@ def ray_cluster(folder):
 
 def takes_clients(port):
     """Whether a client can connect; the port is open some time before."""
-    # As the engine imports it: another test of this process may open ray on this machine.
-    os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
-    import ray
-
     try:
-        with socket.create_connection(("127.0.0.1", port)):
-            pass
-        ray.init(f"ray://127.0.0.1:{port}", log_to_driver=False, logging_level=logging.CRITICAL)
+        with socket.create_connection(("127.0.0.1", port)), open_engine(f"ray://127.0.0.1:{port}"):
+            return True
     except (OSError, RuntimeError):
         return False
-    ray.shutdown()
-    return True
 
 
 def killed(folder):
@@ -238,3 +232,34 @@ def test_the_connection_to_a_ray_cluster_is_cut(scans, deaths, expected, tmp_pat
         report = batch_with_a_cut("ray", ("127.0.0.1", port), scans, deaths, tmp_path / "out")
     assert report.failures == {}
     assert_complete(tmp_path / "out", expected)
+
+
+@pytest.fixture
+def ray(monkeypatch):
+    """As the engine imports it: other tests of this process may open ray on this machine."""
+    monkeypatch.setenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
+    return pytest.importorskip("ray")
+
+
+@pytest.mark.filterwarnings("ignore:Ray Client connection timed out")
+def test_ray_here_after_a_cluster_that_does_not_answer(ray, monkeypatch):
+    """Ray would send the calls to the cluster that it has not."""
+    for timeout in ("INITIAL", "MAX"):
+        monkeypatch.setattr(f"ray.util.client.worker.{timeout}_TIMEOUT_SEC", 0.1)
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        address = f"ray://127.0.0.1:{closed.getsockname()[1]}"
+    with pytest.raises(ConnectionError, match=f"engine {address}: no cluster answers"), open_engine(address):
+        pass
+    with open_engine("ray:1") as engine:
+        assert engine.slots() == 1
+
+
+@pytest.mark.parametrize("failures", [2, 3])
+def test_ray_fails_to_start_the_process_of_a_client(failures, ray, monkeypatch):
+    """On a busy machine; it is tried three times."""
+    errors = [ConnectionAbortedError("Starting Ray client server failed")] * failures + [None]
+    monkeypatch.setattr(ray, "init", Mock(side_effect=errors))
+    fails = pytest.raises(ConnectionError, match="Starting Ray client") if failures == 3 else nullcontext()
+    with fails, open_engine("ray://127.0.0.1:9"):
+        pass
+    assert ray.init.call_count == 3

@@ -220,7 +220,7 @@ def _ray(closing: ExitStack, name: str, threads: int, workers: int | None, addre
 
     options = {"log_to_driver": False, "logging_level": logging.ERROR}
     if workers is None:
-        ray.init(f"ray://{address}", **options)
+        _connect(ray, name, f"ray://{address}", options)
         closing.callback(ray.shutdown)
     else:
         # Ray's workers import tasks by name, and find the modules that this process finds.
@@ -234,6 +234,18 @@ def _ray(closing: ExitStack, name: str, threads: int, workers: int | None, addre
         return max(1, int(ray.cluster_resources().get("CPU", 0)) // threads)
 
     return Engine(name, RayExecutor(ray, threads), slots, threads, workers)
+
+
+def _connect(ray: Any, name: str, address: str, options: dict[str, Any]) -> None:
+    """Connects to a cluster of ray. It starts a process for each client, which can fail on a busy machine."""
+    for others_left in (2, 1, 0):
+        try:
+            ray.init(address, **options)
+            return
+        except ConnectionError as error:
+            ray.shutdown()  # it would still send the calls of this process to the cluster, also those of another engine
+            if others_left == 0 or not isinstance(error, ConnectionAbortedError):
+                raise ConnectionError(f"engine {name}: no cluster answers: {error}") from error
 
 
 _OPENERS: dict[str, Callable[..., Engine]] = {"loky": _loky, "dask": _dask, "ray": _ray}
