@@ -133,6 +133,8 @@ def test_a_mesh_of_segments_can_be_shown(run, tmp_path):
         standing = replace(result, scene=replace(scene, up=torch.tensor(up)))
         label_file(tmp_path / "box.ply", tmp_path / "b.glb", standing)
         assert read_labelled_cloud(tmp_path / "b.glb").scene.up.tolist() == up
+    label_file(tmp_path / "box.ply", tmp_path / "c.glb", replace(result, points=labels - 1))
+    assert read_labelled_cloud(tmp_path / "c.glb").points.unique().tolist() == [0, 1]  # what has no label is the last
     box.export(tmp_path / "other.glb")
     with pytest.raises(ValueError, match=r"other\.glb: expected .* got no labels"):
         read_labelled_cloud(tmp_path / "other.glb")

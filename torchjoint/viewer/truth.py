@@ -31,7 +31,7 @@ NAMES = "label", "superpoint"
 #: Kinds of files that have labels.
 KINDS = ".ply", ".npz", ".glb", *SUFFIXES, *text_clouds.SUFFIXES
 #: The name of the file of a segment.
-PART = re.compile(r"(\d{6,})(?:-(.*))?", re.DOTALL)
+PART = re.compile(r"(-00001|\d{6,})(?:-(.*))?", re.DOTALL)
 #: Largest distance between a point of a result and that of its scene, metres.
 NEAR = 1e-3
 
@@ -76,7 +76,7 @@ def read_labelled_cloud(path: Path) -> Result:
     whole = as_labels(as_tensor(as_int64(labels, name), name), labels.shape[:1], name)
     is_valid = cloud.points.isfinite().all(1)
     cloud, ids = cloud.chosen(is_valid), whole[is_valid]
-    ids[ids < 0] = ids.max() + 1  # what has no label is the last thing
+    ids = _with_rest(ids)
     labels_of = ids if int(ids.max()) <= len(ids) else ids.unique(return_inverse=True)[1]
     return Result.of(Segmentation(labels_of, ()), Scene(cloud.points, colors=cloud.colors, name=path.stem))
 
@@ -91,12 +91,17 @@ def _of_parts(path: Path, stems: list[str], clouds: list[CloudFile], up: Tensor 
     found = [one for stem in stems if (one := PART.fullmatch(stem))]
     ids = torch.tensor([int(one[1]) for one in found])
     no_twice(ids.tolist(), f"{path}: segment")
-    labels = ids.repeat_interleave(torch.tensor([len(cloud.points) for cloud in clouds]))
+    labels = _with_rest(ids).repeat_interleave(torch.tensor([len(cloud.points) for cloud in clouds]))
     colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
     points = torch.cat([cloud.points for cloud in clouds])
     scene = Scene(points, colors=torch.cat(colors) if len(colors) == len(clouds) else None, name=path.stem, up=up)
     names = {int(one[1]): printable(one[2]) for one in found if one[2]}
     return replace(Result.of(Segmentation(labels, ()), scene), segment_names=names)
+
+
+def _with_rest(labels: Tensor) -> Tensor:
+    """Labels in which what has none is the last thing."""
+    return labels.where(labels >= 0, labels.max() + 1)
 
 
 def _of_nodes(path: Path) -> Result | None:
