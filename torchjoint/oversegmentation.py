@@ -113,8 +113,7 @@ def superpoints(
         (tensor([0, 1]), tensor([400, 400]))
     """
     given: list[Any] = [points, colors, normals, edges, faces, ptr, viewpoint]
-    given = [as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given]
-    batch = Batch(*given)
+    batch = Batch(*(as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given))
     for name, value in batch._asdict().items():
         if value is not None or name == "points":
             check_dense(value, name)
@@ -211,11 +210,9 @@ def _local(cloud: Cloud, is_segmentator: bool) -> tuple[Cloud, Tensor | None]:
 
     Copies are merged only if the graph is computed here. Given edges and faces define which points are connected.
     """
-    maps = []
-    ours, viewpoint = cloud.edges is None and cloud.faces is None, cloud.viewpoint
+    ours, viewpoint, of_given = cloud.edges is None and cloud.faces is None, cloud.viewpoint, None
     if ours:
-        cloud, of_point = without_copies(cloud)
-        maps.append(of_point)
+        cloud, of_given = without_copies(cloud)
     # ScanNet's segmentator computes normals from float32 coordinates, as which it reads those of a file. So does this,
     # unless it would round those of a survey.
     is_single = cloud.points.dtype != torch.float64 or (is_segmentator and float(cloud.points.abs().max()) < 1000)
@@ -224,8 +221,7 @@ def _local(cloud: Cloud, is_segmentator: bool) -> tuple[Cloud, Tensor | None]:
     cloud = frame.cloud(cloud)
     if ours:
         cloud, of_point = without_copies(cloud)
-        maps.append(of_point)
-    of_given = composed(*maps)
+        of_given = composed(of_given, of_point)
     if viewpoint is not None:
         viewpoint = (viewpoint.double() - frame.origin).float()
         if of_given is not None and viewpoint.ndim == 2:
