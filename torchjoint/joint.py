@@ -40,7 +40,7 @@ from torchjoint.runtime.threads import ahead, on_cpu, one_thread_per_operation, 
 from torchjoint.scene import Cloud, Frame, Scene, Segmentation
 from torchjoint.scene.checks import kept_points
 from torchjoint.scene.hierarchy import check_granularity
-from torchjoint.segments.method import Method, choose_method, describe
+from torchjoint.segments.method import Method, choose_method, describe, tell_unread
 from torchjoint.views.evidence import Evidence, FrameEvidence, observe_frame
 from torchjoint.views.observations import Observations
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
@@ -240,11 +240,10 @@ class JointSegmenter(nn.Module):
             the number of frames in the state, before the first batch and after each one.
         """
         checked = self._start(_checked(scene, batch_size), resume)
-        done = len(self.state.observations)
-        rest = range(done, len(scene.frames))
+        done, total = len(self.state.observations), len(scene.frames)
+        rest = range(done, total)
         batches = workers(self, scene) if workers else self._batches(scene.frames, rest, checked, batch_size)
-        shown = progress and len(scene.frames) > 0
-        with tqdm(total=len(scene.frames), initial=done, desc="frames", unit="frame", disable=not shown) as bar:
+        with tqdm(total=total, initial=done, desc="frames", unit="frame", disable=not (progress and total)) as bar:
             yield done
             for seen in batches:
                 with on_cpu():
@@ -264,6 +263,8 @@ class JointSegmenter(nn.Module):
         if resume is not None:
             self.state = resume(self._store()) or self.state
         done = len(self.state.observations)
+        if not done:  # an interrupted run has told it
+            tell_unread(self.config, self.method)
         if done < len(scene.frames) and not self.method.uses_images:
             if done not in checked:
                 checked[done] = scene.frames[done]
@@ -302,6 +303,7 @@ class JointSegmenter(nn.Module):
             ValueError, TypeError: naming the argument, what was expected and what came.
         """
         self._reset(Cloud.checked(points, colors, normals))
+        tell_unread(self.config, self.method)
 
     def _reset(self, given: Cloud) -> None:
         self._state = self._pose_check = None  # of the cloud before: what interrupts this must not leave them
@@ -373,8 +375,10 @@ class JointSegmenter(nn.Module):
         """
         if config is not None and not isinstance(config, Config):
             raise TypeError(f"config: expected a Config, got {type(config).__name__}")
+        graph, evidence, method = self.graph, self.state, self._method_of(config or self.config)
+        if config is not None:
+            tell_unread(config, method)
         config = config or self.config
-        graph, evidence, method = self.graph, self.state, self._method_of(config)
         if self._pose_check is not None:
             self._pose_check.warn()
         evidence.check_seen()

@@ -36,7 +36,7 @@ from torchjoint.scene import Cloud, Frame, Masks, Segmentation
 from torchjoint.scene.checks import as_float, as_pose, check_shape
 from torchjoint.scene.frame import camera_center, to_8_bits
 from torchjoint.scene.hierarchy import check_granularity
-from torchjoint.segments.method import LEARNED
+from torchjoint.segments.method import LEARNED, tell_unread
 from torchjoint.views.evidence import Evidence, observe_frame
 from torchjoint.views.observations import Observations
 
@@ -215,9 +215,9 @@ class LiveSegmenter(nn.Module):
                 raise ValueError(f"{name}: expected a number >= 0, got {value}")
         check_granularity(granularity)
         self.config = config or Config()
-        name = self.config.point_segments.method
-        if name in ("scan", "paper"):
+        if (name := self.config.point_segments.method) in ("scan", "paper"):
             raise ValueError(f"config: expected point_segments.method learned (or auto, or a model), got {name}")
+        tell_unread(self.config, LEARNED)
         self.step, self.turn, self.views, self.granularity = step, turn, views, granularity
         self.keep_depth, self.memory = keep_depth, as_bytes(memory)
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)

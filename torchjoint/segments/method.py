@@ -1,5 +1,6 @@
 """Step 6: what a method is, which ones there are, and which one segments a cloud."""
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -33,10 +34,11 @@ class Method(NamedTuple):
     measured: Callable[[PointGraph], str] | None = None
     uses_images: bool = True  #: whether frames affect the segments of the points
     has_levels: bool = False  #: whether `segment` gives a hierarchy
+    unread: tuple[str, ...] = ()  #: stages of the parameters that change nothing
 
 
-LEARNED = Method("learned", learned.prepare, learned.segment, learned.measured, has_levels=True)
-PAPER = Method("paper", paper.prepare, paper.segment)
+LEARNED = Method("learned", learned.prepare, learned.segment, learned.measured, True, True, ("scan", "paper"))
+PAPER = Method("paper", paper.prepare, paper.segment, unread=("scan", "refinement"))
 
 
 def scan_method(signs: ScanSigns | None = None) -> Method:
@@ -44,7 +46,7 @@ def scan_method(signs: ScanSigns | None = None) -> Method:
     segment, measured = scan.segment, scan.measured
     if signs is not None:
         segment, measured = partial(scan.segment, rings=signs.rings), partial(_known, signs)
-    return Method("scan", scan.prepare, segment, measured, uses_images=False, has_levels=True)
+    return Method("scan", scan.prepare, segment, measured, False, True, ("point_graph", "propagation", "paper"))
 
 
 def _known(signs: ScanSigns, _: PointGraph) -> str:
@@ -65,6 +67,15 @@ def choose_method(config: Config, points: Tensor) -> Method:
         signs = look_for_scan(points.float())
         return scan_method(signs) if signs.is_scan else LEARNED
     return {"scan": scan_method(), "paper": PAPER}.get(name, LEARNED)
+
+
+def tell_unread(config: Config, method: Method) -> None:
+    """Warns of parameters that are not at their defaults, and that the method does not read."""
+    default = type(config)().to_dict()
+    given = [(stage, *item) for stage in method.unread for item in vars(getattr(config, stage)).items()]
+    if names := [f"{stage}.{name}" for stage, name, value in given if value != default[stage][name]]:
+        told = f"{', '.join(names)}: without effect, because method {method.name} segments this cloud"
+        warnings.warn(f"{told}; `torchjoint parameters` tells which method reads them", stacklevel=4)
 
 
 def describe(given: Cloud, graph: PointGraph, method: Method) -> str:
