@@ -30,9 +30,6 @@ class ScannetAveragePrecisionMetric(Metric):
     is_differentiable = False
     higher_is_better = True
     full_state_update = False
-    threshold: list[Tensor]
-    score: list[Tensor]
-    hit: list[Tensor]
     num_scenes: Tensor
     num_instances: Tensor
 
