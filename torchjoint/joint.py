@@ -142,6 +142,9 @@ class JointSegmenter(nn.Module):
         (torch.Size([6000]), 6)
     """
 
+    #: The parameters, which cannot be changed: parts were made from them.
+    config: Config = property(lambda self: self._config)  # type: ignore[assignment]
+
     def __init__(
         self,
         config: Config | None = None,
@@ -166,7 +169,7 @@ class JointSegmenter(nn.Module):
         self.merge_within, self.granularity = merge_within, granularity
         self._memory = as_bytes(memory)
         self._offload = None if offload is None else Path(offload)
-        self.config = config or Config()
+        self._config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter, allow_import)
         self.stopwatch = Stopwatch()
         self._own_method = method
@@ -399,8 +402,7 @@ class JointSegmenter(nn.Module):
         """The method of step 6 with another config; raises ValueError if the evidence does not fit to it."""
         method = self.method
         if config.point_segments.method != self.config.point_segments.method and self._own_method is None:
-            assert self._given is not None  # there is a method
-            method = choose_method(config, without_copies(Cloud(self._given))[0].points)
+            method = choose_method(config, without_copies(Cloud(_of_reset(self._given)))[0].points)
         different = [name for name in evidence_differences(self.config, config) if name != "point_segments.method"]
         if method.name != self.method.name:
             different.append("point_segments.method")

@@ -158,13 +158,16 @@ class Superpoints(nn.Module):
         torch.Size([100])
     """
 
+    #: The parameters, which cannot be changed.
+    config: SuperpointsConfig = property(lambda self: self._config)  # type: ignore[assignment]
+
     def __init__(
         self, preset: str | SuperpointsConfig = "default", **parameters: Unpack[SuperpointsParameters]
     ) -> None:
         super().__init__()
         self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
-        self.config = self.preset.replace(parameters)
-        self.parameters_given = parameters
+        self._config = self.preset.replace(parameters)
+        self.own = parameters
 
     def forward(
         self,
@@ -175,9 +178,7 @@ class Superpoints(nn.Module):
         drop_invalid: bool = False,
     ) -> Tensor:
         """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
-        return superpoints(
-            points, colors, normals, ptr=ptr, drop_invalid=drop_invalid, preset=self.preset, **self.parameters_given
-        )
+        return superpoints(points, colors, normals, ptr=ptr, drop_invalid=drop_invalid, preset=self.preset, **self.own)
 
     if TYPE_CHECKING:  # the one of nn.Module is untyped
         __call__ = forward
@@ -191,8 +192,7 @@ def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     """The labels [N] int64 of one cloud."""
     cloud, of_point = _local(replace(given, normals=given.without_constants().normals), config.weight == "segmentator")
     edges, normals, oriented, spacing = _graph(cloud, config)
-    if len(spacing):
-        warn_of_rounding(given.points, spacing)
+    warn_of_rounding(given.points, spacing)
     factor = config.convex_factor if oriented else 1.0  # otherwise convex and concave edges look the same
     turn = segmentator_turn if config.weight == "segmentator" else discounted_angle(factor)
     terms = EdgeWeights(turn, config.angle_weight, config.distance_weight, config.color_weight)
