@@ -149,7 +149,9 @@ class TestCopies:
 
     def test_maps_are_applied_in_turn(self):
         assert composed(None, None) is None
-        assert composed(torch.tensor([0, 1, 1]), None, torch.tensor([4, 7])).tolist() == [4, 7, 7]
+        first, second = torch.tensor([0, 1, 1]), torch.tensor([4, 7])
+        assert composed(first, second).tolist() == [4, 7, 7]
+        assert composed(first, None) is composed(None, first) is first
 
 
 class TestOrder:

@@ -127,6 +127,7 @@ def _segment_batch(batch: Batch, preset: str | SuperpointsConfig, parameters: Su
     """:func:`superpoints` of tensors."""
     config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
     config = config.replace(parameters)
+    batch.tell_unread(config, parameters.keys())
     if batch.colors is None:
         if parameters.get("color_weight"):  # an explicit argument, not a part of a preset
             raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
