@@ -430,7 +430,7 @@ class JointSegmenter(nn.Module):
 
     @property
     def state(self) -> Evidence:
-        """The evidence collected since :meth:`reset`; set it to resume a run.
+        """The evidence collected since :meth:`reset`; set it to resume a run with the same parameters (not compared).
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
