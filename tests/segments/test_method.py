@@ -118,9 +118,22 @@ def test_parameters_of_the_scan_can_be_tried_out(street):
 def test_parameters_that_the_method_does_not_read(room, method, unread):
     config = AUTO.set([f"point_segments.method={method}", "scan.gap=2", "paper.scale=3", "point_graph.neighbors=9"])
     with pytest.warns(
-        UserWarning, match=f"^{unread}: without effect, because method {method.replace('auto', 'learned')}"
+        UserWarning, match=f"^{unread}: without effect here, where method {method.replace('auto', 'learned')}"
     ):
         tj.JointSegmenter(config)(tj.Scene(room.points))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("visibility.depth_tolerance=0.02", "visibility.method=hidden_point_removal"),
+        ("boundary.multi_scale=true", "boundary.detector=gradient"),
+    ],
+)
+def test_parameters_of_another_choice(room, options):
+    with pytest.warns(UserWarning, match=f"^{options[0].split('=')[0]}: without effect here"):
+        reset(tj.Config().set(options), room.points)
+    reset(tj.Config().set(options[:1]), room.points)
 
 
 def test_presets_and_runs_that_go_on_tell_nothing(room):

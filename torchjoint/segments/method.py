@@ -70,12 +70,15 @@ def choose_method(config: Config, points: Tensor) -> Method:
 
 
 def tell_unread(config: Config, method: Method) -> None:
-    """Warns of parameters that are not at their defaults, and that the method does not read."""
-    default = type(config)().to_dict()
-    given = [(stage, *item) for stage in method.unread for item in vars(getattr(config, stage)).items()]
-    if names := [f"{stage}.{name}" for stage, name, value in given if value != default[stage][name]]:
-        told = f"{', '.join(names)}: without effect, because method {method.name} segments this cloud"
-        warnings.warn(f"{told}; `torchjoint parameters` tells which method reads them", stacklevel=4)
+    """Warns of parameters that are not at their defaults, and that neither the method nor another choice reads."""
+    given, default = config.to_dict(), type(config)().to_dict()
+    unread = [(stage, name) for stage in method.unread for name in given[stage]]
+    unread += [("visibility", "footprint"), ("visibility", "depth_tolerance")] * (config.visibility.method != "zbuffer")
+    if config.boundary.detector != "structured_forest":
+        unread += [("boundary", "model"), ("boundary", "multi_scale")]
+    if names := [f"{stage}.{name}" for stage, name in unread if given[stage][name] != default[stage][name]]:
+        told = f"without effect here, where method {method.name} segments the points"
+        warnings.warn(f"{', '.join(names)}: {told}; `torchjoint parameters` tells what reads them", stacklevel=4)
 
 
 def describe(given: Cloud, graph: PointGraph, method: Method) -> str:

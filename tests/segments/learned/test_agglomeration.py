@@ -217,7 +217,7 @@ class TestMethod:
     def test_no_parameter_of_step_6_counts(self, segmenter):
         other = LEARNED.set(["paper.scale=1", "paper.weight=0", "scan.gap=1"])
         expected = segmenter.compute(images=False).points
-        message = r"scan\.gap, paper\.weight, paper\.scale: without effect, because method learned segments this cloud"
+        message = r"scan\.gap, paper\.weight, paper\.scale: without effect here, where method learned"
         with pytest.warns(UserWarning, match=message):
             assert torch.equal(segmenter.compute(images=False, config=other).points, expected)
 
