@@ -136,6 +136,11 @@ def test_parameters_of_another_choice(room, options):
     reset(tj.Config().set(options[:1]), room.points)
 
 
+def test_points_of_a_scan_are_not_merged(street):
+    with pytest.warns(UserWarning, match="^merge_within: without effect here, where method scan"):
+        tj.JointSegmenter(AUTO, merge_within=0.1).reset(street)
+
+
 def test_presets_and_runs_that_go_on_tell_nothing(room):
     for name in presets():
         tj.JointSegmenter.from_preset(name).reset(room.points)

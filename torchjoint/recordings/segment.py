@@ -62,7 +62,8 @@ class RecordingOptions:
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         thin: keep one point per voxel of this size, metres, of clouds that are denser than their noise, or too large;
             None: all points.
-        merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
+        merge_within: metres; all points in a cube with this side are treated as one point and get the same label, but
+            for method scan.
         granularity: level of the labels, 0 (coarse) to 1 (fine); None: the default, 0.5. All levels are always saved.
             Only point_segments.method learned has levels; auto chooses it unless the cloud is a scan.
         topics: for a ROS recording: the topic of each role that several topics fit, as a dict or pairs.

@@ -74,8 +74,7 @@ def tell_unread(config: Config, method: Method) -> None:
     given, default = config.to_dict(), type(config)().to_dict()
     unread = [(stage, name) for stage in method.unread for name in given[stage]]
     unread += [("visibility", "footprint"), ("visibility", "depth_tolerance")] * (config.visibility.method != "zbuffer")
-    if config.boundary.detector != "structured_forest":
-        unread += [("boundary", "model"), ("boundary", "multi_scale")]
+    unread += [("boundary", "model"), ("boundary", "multi_scale")] * (config.boundary.detector != "structured_forest")
     if names := [f"{stage}.{name}" for stage, name in unread if given[stage][name] != default[stage][name]]:
         told = f"without effect here, where method {method.name} segments the points"
         warnings.warn(f"{', '.join(names)}: {told}; `torchjoint parameters` tells what reads them", stacklevel=4)
