@@ -47,8 +47,8 @@ def segmented(scene, method):
     """Scene and frames are made anew, too."""
     frames = [dataclasses.replace(frame) for frame in scene.frames]
     made = tj.Scene(scene.points, frames, colors=scene.colors)
-    options = [f"point_segments.method={method}", "paper.min_size=20"]
-    result = tj.JointSegmenter(tj.Config().set(options))(made)
+    own = ["paper.min_size=20"] if method == "paper" else []
+    result = tj.JointSegmenter(tj.Config().set([f"point_segments.method={method}", *own]))(made)
     return [result.points, *result.images]
 
 

@@ -23,8 +23,8 @@ from torchjoint.segments.method import LEARNED
 from torchjoint.segments.scan.method import segment_levels
 from torchjoint.views.pose_check import NUM_FRAMES, PoseCheck
 
-CONFIG = tj.Config().set(["paper.min_size=20", "image_segments.min_size=20"])
-REGIONS = CONFIG.set(["point_segments.method=paper"])
+CONFIG = tj.Config().set(["image_segments.min_size=20"])
+REGIONS = CONFIG.set(["point_segments.method=paper", "paper.min_size=20"])
 PAPER = tj.Config.from_preset("paper").set(["paper.min_size=20", "image_segments.min_size=20"])
 
 

@@ -28,9 +28,13 @@ def result_of(scene):
     return result
 
 
+def config_of(method):
+    own = ["paper.min_size=20"] if method == "paper" else []
+    return tj.Config().set([f"point_segments.method={method}", *own, "boundary.detector=gradient"])
+
+
 def segmented(scene, method="learned"):
-    options = [f"point_segments.method={method}", "paper.min_size=20", "boundary.detector=gradient"]
-    return tj.JointSegmenter(tj.Config().set(options))(scene)
+    return tj.JointSegmenter(config_of(method))(scene)
 
 
 def picked(scene, chosen):
@@ -76,8 +80,7 @@ class TestCopies:
     @pytest.mark.parametrize("method", ["learned", "paper"])
     def test_points_within_a_cube(self, scene, method):
         """Nearly equal points, as of scans that overlap: each pair counts as one point, and gets one label."""
-        options = [f"point_segments.method={method}", "paper.min_size=20", "boundary.detector=gradient"]
-        segmenter = tj.JointSegmenter(tj.Config().set(options), merge_within=0.01)
+        segmenter = tj.JointSegmenter(config_of(method), merge_within=0.01)
         count = len(scene.points)
         jitter = 1e-5 * torch.randn(count, 3, generator=torch.Generator().manual_seed(0))
         both = torch.cat([scene.points, scene.points + jitter])
@@ -146,7 +149,9 @@ class TestCopies:
 
     def test_maps_are_applied_in_turn(self):
         assert composed(None, None) is None
-        assert composed(torch.tensor([0, 1, 1]), None, torch.tensor([4, 7])).tolist() == [4, 7, 7]
+        first, second = torch.tensor([0, 1, 1]), torch.tensor([4, 7])
+        assert composed(first, second).tolist() == [4, 7, 7]
+        assert composed(first, None) is composed(None, first) is first
 
 
 class TestOrder:

@@ -415,9 +415,26 @@ def test_every_parameter_is_documented_and_an_argument():
     for name in names:
         value = getattr(SuperpointsConfig(), name)
         given = {name: 0.0 if name == "color_weight" else value}
-        assert len(tj.superpoints(points, **given)) == 30
+        assert len(tj.superpoints(points, viewpoint=points[0], **given)) == 30
     with pytest.raises(ValueError, match=r"superpoints\.scael: unknown parameter, expected one of neighbors"):
         tj.superpoints(points, scael=1.0)
+
+
+def test_parameters_that_do_not_count_are_told():
+    """Whoever gave one believed that it was tuned."""
+    points, _ = box_on_floor()
+    normals, faces = torch.nn.functional.normalize(points + 1, dim=1), torch.arange(len(points) // 3 * 3).view(-1, 3)
+    given = {"neighbors": 9, "reach": 0.2, "normal_neighbors": 20, "convex_factor": 0.3, "scale": 2.0}
+    for of_cloud, unread in (
+        ({}, "convex_factor"),
+        ({"normals": normals}, "normal_neighbors"),
+        ({"normals": normals, "preset": "segmentator"}, "normal_neighbors, convex_factor"),
+        ({"edges": faces[:, :2].T}, "neighbors, convex_factor"),
+        ({"faces": faces}, "neighbors, reach, normal_neighbors"),
+    ):
+        with pytest.warns(UserWarning, match=f"^{unread}: without effect here"):
+            tj.superpoints(points, **of_cloud, **given)
+    tj.superpoints(points, viewpoint=points[0], **given)
 
 
 def test_outdoor_joins_the_rings_of_a_lidar():

@@ -40,7 +40,7 @@ from torchjoint.runtime.threads import ahead, on_cpu, one_thread_per_operation, 
 from torchjoint.scene import Cloud, Frame, Scene, Segmentation
 from torchjoint.scene.checks import kept_points
 from torchjoint.scene.hierarchy import check_granularity
-from torchjoint.segments.method import Method, choose_method, describe
+from torchjoint.segments.method import Method, choose_method, describe, tell_unread
 from torchjoint.views.evidence import Evidence, FrameEvidence, observe_frame
 from torchjoint.views.observations import Observations
 from torchjoint.views.pose_check import PoseCheck, frames_to_check
@@ -142,6 +142,9 @@ class JointSegmenter(nn.Module):
         (torch.Size([6000]), 6)
     """
 
+    #: The parameters, which cannot be changed: parts were made from them.
+    config: Config = property(lambda self: self._config)  # type: ignore[assignment]
+
     def __init__(
         self,
         config: Config | None = None,
@@ -166,7 +169,7 @@ class JointSegmenter(nn.Module):
         self.merge_within, self.granularity = merge_within, granularity
         self._memory = as_bytes(memory)
         self._offload = None if offload is None else Path(offload)
-        self.config = config or Config()
+        self._config = config or Config()
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter, allow_import)
         self.stopwatch = Stopwatch()
         self._own_method = method
@@ -240,11 +243,10 @@ class JointSegmenter(nn.Module):
             the number of frames in the state, before the first batch and after each one.
         """
         checked = self._start(_checked(scene, batch_size), resume)
-        done = len(self.state.observations)
-        rest = range(done, len(scene.frames))
+        done, total = len(self.state.observations), len(scene.frames)
+        rest = range(done, total)
         batches = workers(self, scene) if workers else self._batches(scene.frames, rest, checked, batch_size)
-        shown = progress and len(scene.frames) > 0
-        with tqdm(total=len(scene.frames), initial=done, desc="frames", unit="frame", disable=not shown) as bar:
+        with tqdm(total=total, initial=done, desc="frames", unit="frame", disable=not (progress and total)) as bar:
             yield done
             for seen in batches:
                 with on_cpu():
@@ -264,6 +266,8 @@ class JointSegmenter(nn.Module):
         if resume is not None:
             self.state = resume(self._store()) or self.state
         done = len(self.state.observations)
+        if not done:  # an interrupted run has told it
+            tell_unread(self.config, self.method)
         if done < len(scene.frames) and not self.method.uses_images:
             if done not in checked:
                 checked[done] = scene.frames[done]
@@ -302,6 +306,7 @@ class JointSegmenter(nn.Module):
             ValueError, TypeError: naming the argument, what was expected and what came.
         """
         self._reset(Cloud.checked(points, colors, normals))
+        tell_unread(self.config, self.method)
 
     def _reset(self, given: Cloud) -> None:
         self._state = self._pose_check = None  # of the cloud before: what interrupts this must not leave them
@@ -373,8 +378,10 @@ class JointSegmenter(nn.Module):
         """
         if config is not None and not isinstance(config, Config):
             raise TypeError(f"config: expected a Config, got {type(config).__name__}")
+        graph, evidence, method = self.graph, self.state, self._method_of(config or self.config)
+        if config is not None:
+            tell_unread(config, method)
         config = config or self.config
-        graph, evidence, method = self.graph, self.state, self._method_of(config)
         if self._pose_check is not None:
             self._pose_check.warn()
         evidence.check_seen()
@@ -395,8 +402,7 @@ class JointSegmenter(nn.Module):
         """The method of step 6 with another config; raises ValueError if the evidence does not fit to it."""
         method = self.method
         if config.point_segments.method != self.config.point_segments.method and self._own_method is None:
-            assert self._given is not None  # there is a method
-            method = choose_method(config, without_copies(Cloud(self._given))[0].points)
+            method = choose_method(config, without_copies(Cloud(_of_reset(self._given)))[0].points)
         different = [name for name in evidence_differences(self.config, config) if name != "point_segments.method"]
         if method.name != self.method.name:
             different.append("point_segments.method")
@@ -424,7 +430,7 @@ class JointSegmenter(nn.Module):
 
     @property
     def state(self) -> Evidence:
-        """The evidence collected since :meth:`reset`; set it to resume a run.
+        """The evidence collected since :meth:`reset`; set it to resume a run with the same parameters (not compared).
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.

@@ -113,8 +113,7 @@ def superpoints(
         (tensor([0, 1]), tensor([400, 400]))
     """
     given: list[Any] = [points, colors, normals, edges, faces, ptr, viewpoint]
-    given = [as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given]
-    batch = Batch(*given)
+    batch = Batch(*(as_tensor(value, "superpoints") if isinstance(value, np.ndarray) else value for value in given))
     for name, value in batch._asdict().items():
         if value is not None or name == "points":
             check_dense(value, name)
@@ -128,6 +127,7 @@ def _segment_batch(batch: Batch, preset: str | SuperpointsConfig, parameters: Su
     """:func:`superpoints` of tensors."""
     config = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
     config = config.replace(parameters)
+    batch.tell_unread(config, parameters.keys())
     if batch.colors is None:
         if parameters.get("color_weight"):  # an explicit argument, not a part of a preset
             raise ValueError("colors: color_weight > 0 needs the colours of the points, got None")
@@ -159,13 +159,16 @@ class Superpoints(nn.Module):
         torch.Size([100])
     """
 
+    #: The parameters, which cannot be changed.
+    config: SuperpointsConfig = property(lambda self: self._config)  # type: ignore[assignment]
+
     def __init__(
         self, preset: str | SuperpointsConfig = "default", **parameters: Unpack[SuperpointsParameters]
     ) -> None:
         super().__init__()
         self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
-        self.config = self.preset.replace(parameters)
-        self.parameters_given = parameters
+        self._config = self.preset.replace(parameters)
+        self.own = parameters
 
     def forward(
         self,
@@ -176,9 +179,7 @@ class Superpoints(nn.Module):
         drop_invalid: bool = False,
     ) -> Tensor:
         """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
-        return superpoints(
-            points, colors, normals, ptr=ptr, drop_invalid=drop_invalid, preset=self.preset, **self.parameters_given
-        )
+        return superpoints(points, colors, normals, ptr=ptr, drop_invalid=drop_invalid, preset=self.preset, **self.own)
 
     if TYPE_CHECKING:  # the one of nn.Module is untyped
         __call__ = forward
@@ -192,8 +193,7 @@ def _segment(given: Cloud, config: SuperpointsConfig) -> Tensor:
     """The labels [N] int64 of one cloud."""
     cloud, of_point = _local(replace(given, normals=given.without_constants().normals), config.weight == "segmentator")
     edges, normals, oriented, spacing = _graph(cloud, config)
-    if len(spacing):
-        warn_of_rounding(given.points, spacing)
+    warn_of_rounding(given.points, spacing)
     factor = config.convex_factor if oriented else 1.0  # otherwise convex and concave edges look the same
     turn = segmentator_turn if config.weight == "segmentator" else discounted_angle(factor)
     terms = EdgeWeights(turn, config.angle_weight, config.distance_weight, config.color_weight)
@@ -211,11 +211,9 @@ def _local(cloud: Cloud, is_segmentator: bool) -> tuple[Cloud, Tensor | None]:
 
     Copies are merged only if the graph is computed here. Given edges and faces define which points are connected.
     """
-    maps = []
-    ours, viewpoint = cloud.edges is None and cloud.faces is None, cloud.viewpoint
+    ours, viewpoint, of_given = cloud.edges is None and cloud.faces is None, cloud.viewpoint, None
     if ours:
-        cloud, of_point = without_copies(cloud)
-        maps.append(of_point)
+        cloud, of_given = without_copies(cloud)
     # ScanNet's segmentator computes normals from float32 coordinates, as which it reads those of a file. So does this,
     # unless it would round those of a survey.
     is_single = cloud.points.dtype != torch.float64 or (is_segmentator and float(cloud.points.abs().max()) < 1000)
@@ -224,8 +222,7 @@ def _local(cloud: Cloud, is_segmentator: bool) -> tuple[Cloud, Tensor | None]:
     cloud = frame.cloud(cloud)
     if ours:
         cloud, of_point = without_copies(cloud)
-        maps.append(of_point)
-    of_given = composed(*maps)
+        of_given = composed(of_given, of_point)
     if viewpoint is not None:
         viewpoint = (viewpoint.double() - frame.origin).float()
         if of_given is not None and viewpoint.ndim == 2:

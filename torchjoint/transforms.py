@@ -57,6 +57,9 @@ class AddSuperpoints:
         (['name', 'points', 'superpoints'], torch.Size([50]))
     """
 
+    #: The parameters, which cannot be changed.
+    config: SuperpointsConfig = property(lambda self: self._config)  # type: ignore[assignment]
+
     def __init__(
         self,
         points: str = "points",
@@ -76,7 +79,7 @@ class AddSuperpoints:
             "colors": colors, "normals": normals, "faces": faces, "edges": edges, "ptr": ptr, "viewpoint": viewpoint
         }  # fmt: skip
         self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
-        self.config = self.preset.replace(parameters)
+        self._config = self.preset.replace(parameters)
 
     def __call__(self, sample: Sample) -> Sample:
         """A shallow copy of the sample with the labels; the copy shares the sample's tensors."""

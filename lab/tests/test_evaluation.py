@@ -246,12 +246,12 @@ class TestPredictions:
 
 class TestCommand:
     def test_a_result(self, recording, synthetic, run, run_lab, tmp_path, capsys):
-        run("segment", recording, "-o", tmp_path / "result", "--set", "paper.min_size=20")
+        run("segment", recording, "-o", tmp_path / "result")
         run_lab("evaluate", tmp_path / "result", recording, "-o", tmp_path / "scores")
         printed = capsys.readouterr().out
         with (tmp_path / "scores" / "scores.csv").open() as file:
             in_3d, in_2d = csv.DictReader(file)
-        result = tj.JointSegmenter(tj.Config().set(["paper.min_size=20"]))(tj.load_scene(recording))
+        result = tj.JointSegmenter()(tj.load_scene(recording))
         expected = score(result.points, synthetic.point_labels)
         assert float(in_3d["f"]) == pytest.approx(expected.f, abs=1e-6)
         assert f"{expected.f:.3f}" in printed
@@ -265,8 +265,7 @@ class TestCommand:
         recording = write_folder(tmp_path / "recording", synthetic, cloud=False)
         for index, labels in enumerate(synthetic.image_labels):
             Image.fromarray((labels.numpy() + 1).astype(np.uint16)).save(recording / f"frame-{index * 5:06d}.truth.png")
-        small = ["--set", "paper.min_size=20"]
-        run("segment", recording, "-o", tmp_path / "result", "--voxel-size", 0.05, *small)
+        run("segment", recording, "-o", tmp_path / "result", "--voxel-size", 0.05)
         run_lab("evaluate", tmp_path / "result", recording, "--voxel-size", 0.05)
         assert "2D" in capsys.readouterr().out
 
@@ -313,8 +312,7 @@ class TestCommand:
 
     def test_only_points_in_view(self, synthetic, run, tmp_path):
         recording = write_folder(tmp_path / "recording", synthetic)
-        small = ["--set", "paper.min_size=20", "--max-frames", "1", "--in-view"]
-        run("segment", recording, "-o", tmp_path / "result", *small)
+        run("segment", recording, "-o", tmp_path / "result", "--max-frames", "1", "--in-view")
         with np.load(tmp_path / "result" / "points.npz") as arrays:
             kept = torch.from_numpy(arrays["points"])
         frame = synthetic.scene.frames[0]

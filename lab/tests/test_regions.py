@@ -12,7 +12,6 @@ from torchjoint_lab.regions import method as regions_method
 
 import torchjoint as tj
 from torchjoint.cloud.graph import PointGraph
-from torchjoint.segments.planes import SmoothRegions
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
 
@@ -110,7 +109,8 @@ class TestStagesByHand:
 
     @pytest.fixture(autouse=True)
     def no_smallest_sizes(self, monkeypatch):
-        monkeypatch.setattr(regions_method, "SMOOTH_REGIONS", SmoothRegions(scale=0))  # each point keeps its normal
+        # each point keeps its normal
+        monkeypatch.setattr(regions_method, "small_regions", lambda graph, *_: torch.arange(graph.num_points))
         monkeypatch.setattr(regions_method, "MIN_SUPERPOINT", 0)
 
     def test_borders_merge_up_to_the_threshold(self, seen):

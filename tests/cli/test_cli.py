@@ -23,7 +23,7 @@ from torchjoint.results.folder import read_points
 from torchjoint.results.output_folder import output_folder
 from torchjoint.views.visibility import project
 
-SMALL = ["--set", "paper.min_size=20", "image_segments.min_size=20"]
+SMALL = ["--set", "image_segments.min_size=20"]
 
 
 @pytest.fixture(scope="module")

@@ -40,6 +40,14 @@ def test_formats(tmp_path, suffix):
         assert cloud.colors is None
 
 
+def test_parameters_that_do_not_count_are_told(tmp_path, run):
+    to = write(tmp_path / "cloud.xyz"), "-o", tmp_path / "a.npy", "--no-picture", "--set"
+    with pytest.raises(SystemExit, match="colors: color_weight > 0 needs the colours of the points"):
+        run("superpoints", *to, "color_weight=0.5")
+    with pytest.warns(UserWarning, match="^convex_factor: without effect here"):
+        run("superpoints", *to, "convex_factor=0.5")
+
+
 def test_what_it_writes(tmp_path, run, capsys):
     from open3d import t
 

@@ -4,7 +4,8 @@ import re
 import pytest
 import yaml
 
-from torchjoint.config import Config, PaperConfig, PropagationConfig, RefinementConfig, presets
+import torchjoint as tj
+from torchjoint.config import Config, PaperConfig, PropagationConfig, RefinementConfig, SuperpointsConfig, presets
 
 
 def test_presets_load_and_round_trip():
@@ -152,3 +153,16 @@ def test_a_file_that_is_nested_too_deeply(tmp_path):
     (tmp_path / "deep.yaml").write_text("[" * 10_000)
     with pytest.raises(ValueError, match=r"deep\.yaml"):
         Config.from_yaml(tmp_path / "deep.yaml")
+
+
+@pytest.mark.parametrize(
+    "made",
+    [tj.JointSegmenter, tj.LiveSegmenter, tj.Superpoints, tj.transforms.AddSuperpoints],
+    ids=lambda one: one.__name__,
+)
+def test_a_config_is_not_changed_afterwards(made):
+    """Some steps had the old parameters, some the new ones, in silence."""
+    one = made()
+    with pytest.raises(AttributeError, match="config"):
+        one.config = one.config
+    assert one.config == (Config() if "Segmenter" in made.__name__ else SuperpointsConfig())

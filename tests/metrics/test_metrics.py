@@ -366,6 +366,15 @@ def test_arguments_are_left_as_they_were():
 
 # --- errors -----------------------------------------------------------------------------------------------------------
 
+
+def test_what_may_be_void_in_8_bits_is_told():
+    pred, target = torch.tensor([0, 0, 1, 2]), torch.tensor([0, 0, 255, 255], dtype=torch.uint8)
+    for metric in (metrics.segmentation_covering, metrics.scannet_average_precision):
+        with pytest.warns(UserWarning, match=r"^target: 255 is a region; if it was void or none"):
+            metric(pred, target)
+    assert metrics.segmentation_covering(pred, target.clamp(max=254)).symmetric < 1  # no doubt, no warning
+
+
 ONES = torch.ones(4, dtype=torch.int64)
 
 

@@ -57,6 +57,7 @@ def test_life_of_a_metric():
         assert metric(*one) == fed([one]).compute()
     metric = pickle.loads(pickle.dumps(metric))
     copy = metric.clone().set_dtype(torch.float32)
+    copy.compute()
     copy.merge_state(fed(SAMPLES[3:]))
     for one in SAMPLES[3:]:
         metric.update(*one)
@@ -65,6 +66,15 @@ def test_life_of_a_metric():
     metric.reset()
     metric.update(*SAMPLES[1])
     assert metric.compute() == fed(SAMPLES[1:2]).compute()
+
+
+def test_metrics_with_other_options_do_not_merge():
+    metric, other = fed(SAMPLES[:1]), ScannetAveragePrecisionMetric(LEAST + 10)
+    other.update(*SAMPLES[1])
+    for state in (other, other.metric_state):
+        with pytest.raises(ValueError, match=r"min_size: expected metrics with the same one, got \[30, 20\]"):
+            metric.merge_state(state)
+    assert metric.compute() == fed(SAMPLES[:1]).compute()
 
 
 def test_nothing_to_compute():

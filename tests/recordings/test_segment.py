@@ -71,6 +71,14 @@ def test_a_page_opens_before_files_are_read_if_all_else_is_right(scene_of, tmp_p
     assert begun == [1]
 
 
+def test_topics_may_be_a_dict():
+    """Its topics did not count: a batch took the result of another camera for done."""
+    pairs, others = (tj.RecordingOptions(topics=topics) for topics in ((("color", "/left"),), {"color": "/right"}))
+    same = tj.RecordingOptions(topics={"color": "/left"})
+    assert same.source() == pairs.source() != others.source()
+    assert same.record(QUICK) == pairs.record(QUICK) != others.record(QUICK)
+
+
 def test_any_order(whole, scene_of, tmp_path):
     scene, segmenter = scene_of(2).scene, tj.JointSegmenter(QUICK)
     checkpoint = Checkpoint(tmp_path / "state", "key")

@@ -11,6 +11,7 @@ from torchjoint_lab.training.boundary_model_file import save_boundary_model
 from tqdm import tqdm
 
 import torchjoint as tj
+from torchjoint.config import presets
 from torchjoint.segments.learned.boundary_model import BoundaryModel, load_boundary_model
 from torchjoint.segments.method import choose_method
 from torchjoint.segments.scan.method import segment_levels
@@ -108,6 +109,46 @@ def test_a_bad_model_is_told_before_all_frames(room, tmp_path):
 def test_parameters_of_the_scan_can_be_tried_out(street):
     coarse = AUTO.set(["scan.gap=2"])
     assert torch.equal(reset(AUTO, street).compute(config=coarse).points, segment_levels(street, coarse.scan).at())
+
+
+@pytest.mark.parametrize(
+    ("method", "unread"),
+    [("auto", "scan.gap, paper.scale"), ("scan", "point_graph.neighbors, paper.scale"), ("paper", "scan.gap")],
+)
+def test_parameters_that_the_method_does_not_read(room, method, unread):
+    config = AUTO.set([f"point_segments.method={method}", "scan.gap=2", "paper.scale=3", "point_graph.neighbors=9"])
+    with pytest.warns(
+        UserWarning, match=f"^{unread}: without effect here, where method {method.replace('auto', 'learned')}"
+    ):
+        tj.JointSegmenter(config)(tj.Scene(room.points))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("visibility.depth_tolerance=0.02", "visibility.method=hidden_point_removal"),
+        ("boundary.multi_scale=true", "boundary.detector=gradient"),
+    ],
+)
+def test_parameters_of_another_choice(room, options):
+    with pytest.warns(UserWarning, match=f"^{options[0].split('=')[0]}: without effect here"):
+        reset(tj.Config().set(options), room.points)
+    reset(tj.Config().set(options[:1]), room.points)
+
+
+def test_points_of_a_scan_are_not_merged(street):
+    with pytest.warns(UserWarning, match="^merge_within: without effect here, where method scan"):
+        tj.JointSegmenter(AUTO, merge_within=0.1).reset(street)
+
+
+def test_presets_and_runs_that_go_on_tell_nothing(room):
+    for name in presets():
+        tj.JointSegmenter.from_preset(name).reset(room.points)
+    begun, again = (tj.JointSegmenter(AUTO.set(["scan.gap=2"])) for _ in range(2))
+    scene = tj.Scene(room.points, room.frames[:1])
+    with pytest.warns(UserWarning, match=r"^scan\.gap: without effect"):
+        begun(scene)
+    assert list(again.steps(scene, resume=lambda _: begun.state)) == [1]
 
 
 def test_segmenters_of_parts_can_be_merged(room):

@@ -10,9 +10,7 @@ import torchjoint.cloud.graph as graph_module
 from torchjoint import ops
 from torchjoint.cloud.graph import build_point_graph
 from torchjoint.scene import Cloud
-from torchjoint.segments.planes import MIN_POINTS, SmoothRegions, one_sided_planes, small_regions
-
-ALL = SmoothRegions(scale=1e-9, min_size=0)
+from torchjoint.segments.planes import MIN_POINTS, one_sided_planes, small_regions
 
 
 def corner(side=20, spacing=0.02, noise=0.0, seed=0):
@@ -47,21 +45,15 @@ class TestSmallRegions:
             assert (num_nodes, scale, min_size) == (5, 0.5, 7)
 
         monkeypatch.setattr(ops, "felzenszwalb", felzenszwalb)
-        small_regions(graph, normals, known, SmoothRegions(scale=0.5, min_size=7))
+        small_regions(graph, normals, known, 0.5, 7)
         # convex; concave; 120 degrees of unknown sign are 60; flat
         assert weights["got"].tolist() == pytest.approx([0.25, 0.5, 0.5, 0.0], abs=1e-6)
-
-    def test_with_scale_0_every_point_is_one(self):
-        """Even where nothing parts them."""
-        graph = graph_of(torch.zeros(3, 3), [[0, 1], [1, 2]], turned([0.0] * 3))
-        known = torch.ones(3, dtype=torch.bool)
-        assert small_regions(graph, graph.normals, known, SmoothRegions(scale=0)).tolist() == [0, 1, 2]
 
     def test_none_reaches_around_a_corner(self):
         points, side = corner()
         graph = build_point_graph(Cloud(points), 16, 20)
         known = torch.ones(len(points), dtype=torch.bool)
-        region = small_regions(graph, graph.normals, known, SmoothRegions(scale=0.003, min_size=0))
+        region = small_regions(graph, graph.normals, known, 0.003, 0)
         for label in region.unique():
             away = points[region == label][:, [0, 2]].amax(1) > 0.05  # closer to the crease normals are in between
             assert side[region == label][away].unique().numel() <= 1
@@ -71,7 +63,7 @@ class TestSmallRegions:
         points = torch.zeros(4, 3)
         graph = graph_of(points, [[0, 1], [1, 2], [2, 3]], turned([0.0, 0.0, 90.0, 90.0]))
         known = torch.ones(4, dtype=torch.bool)
-        assert small_regions(graph, graph.normals, known, ALL).tolist() == [0, 0, 1, 1]
+        assert small_regions(graph, graph.normals, known, 1e-9, 0).tolist() == [0, 0, 1, 1]
 
 
 class TestOneSidedPlanes:

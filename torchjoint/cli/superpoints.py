@@ -1,8 +1,10 @@
 """torchjoint superpoints: segments the cloud of a file into superpoints; writes labels and a picture."""
 
 import sys
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,7 +12,7 @@ import tyro
 from torch import Tensor
 
 from torchjoint.cli.arguments import OptionalOut, output_file
-from torchjoint.config import SuperpointsConfig
+from torchjoint.config import SuperpointsConfig, read_assignment
 from torchjoint.datasets.files.clouds import read_cloud_file, up_of
 from torchjoint.datasets.files.columns import CloudFile
 from torchjoint.datasets.files.las import SUFFIXES
@@ -101,7 +103,7 @@ def superpoints(
         with damage_is(str(cloud)):
             records.check_new(NAME)
     kept_points(read.points, str(cloud), "keep" if drop_invalid else "refuse")  # an error names the file
-    of_rows = _segmented(read, viewpoint, drop_invalid, config)
+    of_rows = _segmented(read, config, viewpoint, drop_invalid=drop_invalid, **dict(map(read_assignment, set)))
     kept, labels = read.chosen(of_rows >= 0), of_rows[of_rows >= 0]
     scene = Scene(kept.points, colors=kept.colors, normals=kept.normals, up=up_of(cloud))
     with made.written() as path:
@@ -116,9 +118,7 @@ def superpoints(
         say(png)
 
 
-def _segmented(
-    read: CloudFile, viewpoint: tuple[float, float, float] | None, drop_invalid: bool, config: SuperpointsConfig
-) -> Tensor:
+def _segmented(read: CloudFile, config: SuperpointsConfig, viewpoint: Sequence[float] | None, **more: Any) -> Tensor:
     """The superpoint of each row of a file, -1 of those that were dropped; from a mesh, if its triangles are used."""
     mesh = read.faces if config.weight == "segmentator" else None
     if mesh is None and read.faces is not None:
@@ -126,7 +126,7 @@ def _segmented(
         say(f"{told}, sample points on them first, such as Open3D's mesh.sample_points_uniformly(100_000)")
     sensor = None if viewpoint is None else torch.tensor(viewpoint, dtype=torch.float64)
     given = (read.points, read.colors, read.normals if mesh is None else None)
-    return segment(*given, faces=mesh, viewpoint=sensor, drop_invalid=drop_invalid, preset=config)
+    return segment(*given, faces=mesh, viewpoint=sensor, preset=config, **more)
 
 
 def _write(out: Path, scene: Scene, labels: Tensor, of_rows: Tensor, faces: Tensor | None) -> None:

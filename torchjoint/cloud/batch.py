@@ -1,12 +1,15 @@
 """Checks and splits a batch of clouds for superpoints: one tensor, in which `ptr` gives the start of each cloud."""
 
+import warnings
+from collections.abc import Collection
 from itertools import pairwise
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchjoint.ops._checks import check_tensor
+from torchjoint.config import SuperpointsConfig
+from torchjoint.ops._checks import check_array, check_tensor
 from torchjoint.scene import Cloud
 from torchjoint.scene.checks import Beams, Invalid, as_float, as_points, kept_points
 
@@ -21,6 +24,16 @@ class Batch(NamedTuple):
     faces: Tensor | None  #: [F, 3] integers, triangles of all clouds in any order, in point numbers of the batch
     ptr: Tensor | None  #: [B + 1] integers, the start of each cloud, and N; None = one cloud
     viewpoint: Tensor | None  #: [3], [B, 3] or [N, 3] metres, of the sensor for all clouds, per cloud, or per point
+
+    def tell_unread(self, config: SuperpointsConfig, given: Collection[str]) -> None:
+        """Warns of given parameters that change nothing; `config` has all of them."""
+        is_mesh = self.faces is not None
+        graph, normals = is_mesh or self.edges is not None, is_mesh or self.normals is not None
+        signs = config.weight == "segmentator" or not (normals or self.viewpoint is not None)
+        unread = {"neighbors": graph, "normal_neighbors": normals, "reach": graph and normals, "convex_factor": signs}
+        if names := [name for name in given if unread.get(name)]:
+            told = "without effect here; `torchjoint parameters --superpoints` tells what counts where"
+            warnings.warn(f"{', '.join(names)}: {told}", stacklevel=4)
 
 
 def split_batch(given: Batch) -> list[Cloud]:
@@ -92,11 +105,8 @@ def _checked_nodes(name: str, nodes: Tensor | None, num_points: int) -> Tensor |
     """Edges [2, E] unchanged, faces [F, 3] transposed to [3, F]; int64, all in [0, N)."""
     if nodes is None:
         return None
-    check_tensor(name, nodes, (torch.int32, torch.int64))
-    if name == "edges" and (nodes.ndim != 2 or nodes.shape[0] != 2):
-        raise ValueError(f"edges: expected shape [2, E], got {list(nodes.shape)}")
-    if name == "faces" and (nodes.ndim != 2 or nodes.shape[1] != 3):
-        raise ValueError(f"faces: expected shape [F, 3], got {list(nodes.shape)}")
+    shape, form = ((2, None), "[2, E]") if name == "edges" else ((None, 3), "[F, 3]")
+    check_array(name, nodes, (torch.int32, torch.int64), shape, form)
     nodes = (nodes if name == "edges" else nodes.T).to(torch.int64)
     if nodes.numel() and not 0 <= int(nodes.min()) <= int(nodes.max()) < num_points:
         got = f"{int(nodes.min())} to {int(nodes.max())}"

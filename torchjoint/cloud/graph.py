@@ -91,7 +91,7 @@ class PointGraph:
         """Whether evidence of frames that was collected with one graph is valid for the other."""
         colors, others = (one.points[:0] if one.colors is None else one.colors for one in (self, other))
         same = torch.equal(self.points, other.points) and torch.equal(self.normals, other.normals)
-        return same and torch.equal(colors, others) and self.local.is_same(other.local)
+        return same and torch.equal(colors, others) and torch.equal(self.local.origin, other.local.origin)
 
 
 def build_point_graph(cloud: Cloud, neighbors: int, normal_neighbors: int | Scales) -> PointGraph:

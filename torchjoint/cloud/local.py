@@ -131,20 +131,16 @@ def merged_points(cloud: Cloud, of_point: Tensor, count: int) -> Cloud:
     """
     size = torch.bincount(of_point, minlength=count).double()[:, None]
 
-    def mean(values: Tensor | None) -> Tensor | None:
-        if values is None:
-            return None
+    def mean(values: Tensor) -> Tensor:
         return torch.zeros(count, 3, dtype=torch.float64).index_add_(0, of_point, values.double()) / size
 
-    points, colors, normals = mean(cloud.points), mean(cloud.colors), mean(cloud.normals)
-    assert points is not None
-    if normals is not None:
-        own = cloud.normals[first_places(of_point)].double()  # type: ignore[index]
+    colors, normals = None if cloud.colors is None else mean(cloud.colors).float().clamp(0, 1), None
+    if cloud.normals is not None:
+        normals, own = mean(cloud.normals), cloud.normals[first_places(of_point)].double()
         opposite = normals.square().sum(1, keepdim=True) < 1e-6  # the mean of opposite normals has no direction
         equal = (normals == own).all(1, keepdim=True)  # keep them bit by bit
-        normals = torch.where(opposite | equal, own, normalize(normals, dim=1))
-    colors = None if colors is None else colors.float().clamp(0, 1)
-    return Cloud(points.to(cloud.points.dtype), colors, None if normals is None else normals.float())
+        normals = torch.where(opposite | equal, own, normalize(normals, dim=1)).float()
+    return Cloud(mean(cloud.points).to(cloud.points.dtype), colors, normals)
 
 
 def points_within(points: Tensor, side: float) -> Tensor:
@@ -217,17 +213,10 @@ class LocalFrame(NamedTuple):
             pose[:3, 3] = (pose[:3, 3] / self.step).round() * self.step
         return pose
 
-    def is_same(self, other: LocalFrame) -> bool:
-        """Whether both frames have the same origin."""
-        return torch.equal(self.origin, other.origin)
 
-
-def composed(*maps: Tensor | None) -> Tensor | None:
-    """The map of points that applies all `maps` one after the other; None is the identity."""
-    result = None
-    for one in maps:
-        result = one if result is None else result if one is None else one[result]
-    return result
+def composed(first: Tensor | None, second: Tensor | None) -> Tensor | None:
+    """The map of points that applies two maps one after the other; None is the identity."""
+    return second if first is None else first if second is None else second[first]
 
 
 def warn_of_rounding(points: Tensor, spacing: Tensor) -> None:

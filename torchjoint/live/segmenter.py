@@ -36,7 +36,7 @@ from torchjoint.scene import Cloud, Frame, Masks, Segmentation
 from torchjoint.scene.checks import as_float, as_pose, check_shape
 from torchjoint.scene.frame import camera_center, to_8_bits
 from torchjoint.scene.hierarchy import check_granularity
-from torchjoint.segments.method import LEARNED
+from torchjoint.segments.method import LEARNED, tell_unread
 from torchjoint.views.evidence import Evidence, observe_frame
 from torchjoint.views.observations import Observations
 
@@ -194,6 +194,9 @@ class LiveSegmenter(nn.Module):
         (True, True)
     """
 
+    #: The parameters, which cannot be changed: parts were made from them.
+    config: Config = property(lambda self: self._config)  # type: ignore[assignment]
+
     @on_cpu()
     def __init__(
         self,
@@ -214,10 +217,10 @@ class LiveSegmenter(nn.Module):
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}: expected a number >= 0, got {value}")
         check_granularity(granularity)
-        self.config = config or Config()
-        name = self.config.point_segments.method
-        if name in ("scan", "paper"):
+        self._config = config or Config()
+        if (name := self.config.point_segments.method) in ("scan", "paper"):
             raise ValueError(f"config: expected point_segments.method learned (or auto, or a model), got {name}")
+        tell_unread(self.config, LEARNED)
         self.step, self.turn, self.views, self.granularity = step, turn, views, granularity
         self.keep_depth, self.memory = keep_depth, as_bytes(memory)
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
@@ -317,7 +320,7 @@ class LiveSegmenter(nn.Module):
         """Replaces the poses of the keyframes, for example after a loop closure.
 
         Later frames have poses in the same world. The cloud is fused anew, from the keyframes alone: the depth of other
-        frames is not kept.
+        frames is not kept. Frames must not be added at the same time.
 
         Args:
             world_to_camera: [K, 4, 4] one for each of the keyframes, in the order of :attr:`names`.
@@ -334,11 +337,10 @@ class LiveSegmenter(nn.Module):
         if tuple(world_to_camera.shape) != (len(self._keyframes), 4, 4):
             told = f"[{len(self._keyframes)}, 4, 4], a pose for each keyframe, got {list(world_to_camera.shape)}"
             raise ValueError(f"world_to_camera: expected {told}")
-        if not self._keyframes:
+        if self._origin is None or not self._keyframes:
             return
         poses = [as_pose(pose, f"world_to_camera[{index}]") for index, pose in enumerate(world_to_camera)]
         moved = [one._replace(world_to_camera=pose) for one, pose in zip(self._keyframes, poses, strict=True)]
-        assert self._origin is not None
         _check(compared := [*filter(None, map(Keyframe.measured, moved[:COMPARED]))])
         volume, views = Volume(self._volume.voxel_size, MAX_DEPTH, self.memory), Counter[int]()
         with self.stopwatch("fusion"):
@@ -352,7 +354,7 @@ class LiveSegmenter(nn.Module):
     def save(self, path: str | Path) -> None:
         """Writes what :meth:`restore` needs to go on from here: one file, which is replaced as a whole.
 
-        Frames must not be added at the same time.
+        Frames must not be added, nor results computed, at the same time.
 
         Raises:
             OSError: for example if the disk is full; an earlier file then stays.

@@ -30,9 +30,6 @@ class ScannetAveragePrecisionMetric(Metric):
     is_differentiable = False
     higher_is_better = True
     full_state_update = False
-    threshold: list[Tensor]
-    score: list[Tensor]
-    hit: list[Tensor]
     num_scenes: Tensor
     num_instances: Tensor
 
@@ -41,7 +38,7 @@ class ScannetAveragePrecisionMetric(Metric):
         super().__init__(**kwargs)
         self.min_size = min_size
         # A MetricCollection takes metrics for equal whose states are: this one tells options apart.
-        self.add_state("least", torch.tensor(min_size), dist_reduce_fx="max")
+        self.add_state("least", torch.tensor(min_size), dist_reduce_fx=_of_all)
         for name in Matches._fields:
             self.add_state(name, [], dist_reduce_fx="cat")
         self.add_state("num_scenes", torch.tensor(0), dist_reduce_fx="sum")
@@ -58,8 +55,20 @@ class ScannetAveragePrecisionMetric(Metric):
         self.num_instances += num_instances
         self.num_scenes += 1
 
+    def merge_state(self, incoming_state: dict[str, Any] | Metric) -> None:
+        """Adds the scenes of another one, or of its state. ValueError if its min_size is another."""
+        super().merge_state(incoming_state)
+        self._computed = None  # torchmetrics would give the value of before
+
     def compute(self) -> AveragePrecision:
         """Returns the AP of all scenes so far. ValueError without a scene; nan if no instance is large enough."""
         if int(self.num_scenes) == 0:
             raise ValueError(f"{type(self).__name__}: expected an update before compute, got none")
         return areas(Matches(*(dim_zero_cat(getattr(self, name)) for name in Matches._fields)), int(self.num_instances))
+
+
+def _of_all(least: Tensor) -> Tensor:
+    """The min_size that all merged metrics have."""
+    if bool((least != least[0]).any()):
+        raise ValueError(f"min_size: expected metrics with the same one, got {least.int().tolist()}")
+    return least[0]

@@ -126,8 +126,7 @@ def objects_and_parts_of(
         ranked = torch.where(found > _NONE, table.pred * 3 + found, 0)
         target_class = largest(ranked, table.target, len(table.target_area)) % 3
 
-        fragments = torch.bincount(table.pred, table.precision * (fills & ~within), len(pred_class))
-        pred_fragments += fragments / len(tables)
+        pred_fragments += torch.bincount(table.pred, table.precision * (fills & ~within), len(pred_class)) / len(tables)
         fragments = torch.bincount(table.target, table.recall * (within & ~fills), len(target_class))
         recalled += _worth(target_class, fragments, target_candidate, beta)
         expected += int(target_candidate.sum())

@@ -1,5 +1,6 @@
 """Overlaps of two segmentations, and the segmentation covering."""
 
+import warnings
 from collections.abc import Sequence
 from statistics import fmean
 from typing import NamedTuple
@@ -36,6 +37,8 @@ def checked_labels(labels: Tensor, name: str) -> Tensor:
     flat = labels.to("cpu", torch.int64).flatten()
     if int(flat.min()) < -1:
         raise ValueError(f"{name}: expected labels >= -1, got {int(flat.min())}")
+    if labels.dtype == torch.uint8 and int(flat.max()) == 255:
+        warnings.warn(f"{name}: 255 is a region; if it was void or none (-1), give integers with a sign", stacklevel=5)
     return flat
 
 

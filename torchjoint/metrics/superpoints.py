@@ -80,8 +80,7 @@ def boundary_recall(
     if not (isinstance(tolerance, int) and tolerance >= 0):
         raise ValueError(f"tolerance: expected a number of edges >= 0, got {tolerance}")
     source, sink = _checked_edges(edge_index, len(pred))
-    pred_source, pred_sink = _labels_at(pred, source, sink)
-    crossing = pred_source != pred_sink
+    crossing = torch.ne(*_labels_at(pred, source, sink))
     return fmean([_recall(crossing, one, source, sink, tolerance) for one in targets])
 
 
@@ -92,24 +91,17 @@ def _recall(crossing: Tensor, target: Tensor, source: Tensor, sink: Tensor, tole
     if len(border) == 0:
         return 1.0
     found = crossing & inside
-    if tolerance == 0:
-        return int(found[border].sum()) / len(border)
-    reached = torch.zeros(len(target), dtype=torch.bool)
-    _reach(reached, places(found), source, sink)
-    for _ in range(min(tolerance, len(target)) - 1):  # no path has more edges
+    for _ in range(min(tolerance, len(target))):  # no path has more edges
+        edges = places(found)
+        reached = torch.zeros(len(target), dtype=torch.bool)
+        reached[source[edges]] = reached[sink[edges]] = True
         found = (reached[source] | reached[sink]).logical_and_(inside)
-        _reach(reached, places(found), source, sink)
-    return int((reached[source[border]] | reached[sink[border]]).sum()) / len(border)
+    return int(found[border].sum()) / len(border)
 
 
 def _labels_at(labels: Tensor, source: Tensor, sink: Tensor) -> tuple[Tensor, Tensor]:
     small = renumber_by_value(labels)[1].int()  # half the memory for random access
     return small.index_select(0, source), small.index_select(0, sink)
-
-
-def _reach(reached: Tensor, edges: Tensor, source: Tensor, sink: Tensor) -> None:
-    reached[source[edges]] = True
-    reached[sink[edges]] = True
 
 
 def _checked_edges(edge_index: Tensor, num_points: int) -> tuple[Tensor, Tensor]:

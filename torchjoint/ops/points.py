@@ -20,8 +20,9 @@ def nearest_neighbors(
         points: ``[N, 3]`` float32 or float64, finite, N < 2^31.
         count: K >= 0; if there are fewer other points, K is their number.
         num_distances: D >= 0, the number of nearest neighbours whose distances are returned; default and maximum: K.
-        limits: ``[N]`` float64, not negative, the largest distance of each point's neighbours. If there are fewer than
-            K, the point itself takes the place of the others, at an infinite distance. None: no limits.
+        limits: ``[N]`` float64, not negative, the largest distance of each point's neighbours. Squares are compared, so
+            a rounded distance as its own limit may be too small. If there are fewer than K, the point itself takes the
+            place of the others, at an infinite distance. None: no limits.
 
     Returns:
         ``[N, K]`` int32 numbers of the neighbours, and ``[N, D]`` their distances, in the dtype of the points. Runs on

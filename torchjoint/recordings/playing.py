@@ -52,9 +52,8 @@ def play(
         if rate is not None and index and early <= -1 / rate:
             played.dropped.append(index)
         else:
-            if early > 0:
-                time.sleep(early)
-                began = time.monotonic()
+            time.sleep(max(early, 0.0))
+            began = time.monotonic()
             before = len(segmenter.names)
             frame = frames[index]
             segmenter.update(frame)

@@ -6,7 +6,7 @@
 import logging
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -62,10 +62,11 @@ class RecordingOptions:
         in_view: leave out the points that no frame has in its view (a LiDAR sees all around, a camera does not).
         thin: keep one point per voxel of this size, metres, of clouds that are denser than their noise, or too large;
             None: all points.
-        merge_within: metres; all points in a cube with this side are treated as one point and get the same label.
+        merge_within: metres; all points in a cube with this side are treated as one point and get the same label, but
+            for method scan.
         granularity: level of the labels, 0 (coarse) to 1 (fine); None: the default, 0.5. All levels are always saved.
             Only point_segments.method learned has levels; auto chooses it unless the cloud is a scan.
-        topics: for a ROS recording: pairs of a role and its topic, for roles that several topics fit.
+        topics: for a ROS recording: the topic of each role that several topics fit, as a dict or pairs.
         time_limit: for a ROS recording: largest time from an image to its depth image and its pose, seconds.
         ignore_poses: go on if the poses look wrong; else this is an error.
         drop_invalid: leave out the points that are NaN or infinite, and tell their number; else they are an error.
@@ -82,7 +83,7 @@ class RecordingOptions:
     thin: float | None = None
     merge_within: float = 0.0
     granularity: float | None = None
-    topics: tuple[tuple[str, str], ...] = ()
+    topics: Mapping[str, str] | tuple[tuple[str, str], ...] = ()
     time_limit: float = 0.02
     ignore_poses: bool = False
     drop_invalid: bool = False
@@ -107,7 +108,8 @@ class RecordingOptions:
 
     def source(self) -> str:
         """The options that change a fused cloud, or whether the poses of its frames were checked, as text."""
-        return f"{self.voxel_size} {sorted(self.topics)} {self.time_limit} {self.format} {self.ignore_poses}"
+        topics = sorted(dict(self.topics).items())
+        return f"{self.voxel_size} {topics} {self.time_limit} {self.format} {self.ignore_poses}"
 
     def key(self) -> str:
         """The options that change the state of a run, as text."""
@@ -117,7 +119,7 @@ class RecordingOptions:
     def record(self, config: Config) -> dict[str, Any]:
         """On what a result depends beside its recording and its parameters, as it is written to files."""
         models, up = model_checksums(config), None if self.up is None else [*self.up]
-        options = vars(self) | {"topics": [*map(list, self.topics)], "up": up}
+        options = vars(self) | {"topics": [*map(list, dict(self.topics).items())], "up": up}
         return {"options": options, **({"models": models} if models else {})}
 
     def cut_down(self, scene: Scene) -> Scene:

@@ -1,5 +1,6 @@
 """Step 6: what a method is, which ones there are, and which one segments a cloud."""
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -33,10 +34,11 @@ class Method(NamedTuple):
     measured: Callable[[PointGraph], str] | None = None
     uses_images: bool = True  #: whether frames affect the segments of the points
     has_levels: bool = False  #: whether `segment` gives a hierarchy
+    unread: tuple[str, ...] = ()  #: stages of the parameters that change nothing
 
 
-LEARNED = Method("learned", learned.prepare, learned.segment, learned.measured, has_levels=True)
-PAPER = Method("paper", paper.prepare, paper.segment)
+LEARNED = Method("learned", learned.prepare, learned.segment, learned.measured, True, True, ("scan", "paper"))
+PAPER = Method("paper", paper.prepare, paper.segment, unread=("scan", "refinement"))
 
 
 def scan_method(signs: ScanSigns | None = None) -> Method:
@@ -44,7 +46,7 @@ def scan_method(signs: ScanSigns | None = None) -> Method:
     segment, measured = scan.segment, scan.measured
     if signs is not None:
         segment, measured = partial(scan.segment, rings=signs.rings), partial(_known, signs)
-    return Method("scan", scan.prepare, segment, measured, uses_images=False, has_levels=True)
+    return Method("scan", scan.prepare, segment, measured, False, True, ("point_graph", "propagation", "paper"))
 
 
 def _known(signs: ScanSigns, _: PointGraph) -> str:
@@ -65,6 +67,17 @@ def choose_method(config: Config, points: Tensor) -> Method:
         signs = look_for_scan(points.float())
         return scan_method(signs) if signs.is_scan else LEARNED
     return {"scan": scan_method(), "paper": PAPER}.get(name, LEARNED)
+
+
+def tell_unread(config: Config, method: Method) -> None:
+    """Warns of parameters that are not at their defaults, and that neither the method nor another choice reads."""
+    given, default = config.to_dict(), type(config)().to_dict()
+    unread = [(stage, name) for stage in method.unread for name in given[stage]]
+    unread += [("visibility", "footprint"), ("visibility", "depth_tolerance")] * (config.visibility.method != "zbuffer")
+    unread += [("boundary", "model"), ("boundary", "multi_scale")] * (config.boundary.detector != "structured_forest")
+    if names := [f"{stage}.{name}" for stage, name in unread if given[stage][name] != default[stage][name]]:
+        told = f"without effect here, where method {method.name} segments the points"
+        warnings.warn(f"{', '.join(names)}: {told}; `torchjoint parameters` tells what reads them", stacklevel=4)
 
 
 def describe(given: Cloud, graph: PointGraph, method: Method) -> str:

@@ -17,18 +17,6 @@ from torchjoint.runtime.threads import all_threads
 MIN_POINTS = 6
 
 
-class SmoothRegions(NamedTuple):
-    """Small smooth regions: Felzenszwalb-Huttenlocher on the angles between normals."""
-
-    scale: float = 0.003  #: k, weight x points; more gives larger regions; 0: each point is a region of its own
-    min_size: int = 15  #: points; smaller regions are joined to a neighbour
-
-
-#: The small regions of method learned. Regions must not cross creases, so the scale is small. Regions of
-#: fewer than 15 points are joined to a neighbour, because their planes are mostly noise.
-SMOOTH_REGIONS = SmoothRegions()
-
-
 class Planes(NamedTuple):
     """One plane per point, fitted to the point and its neighbours in the same region."""
 
@@ -36,22 +24,23 @@ class Planes(NamedTuple):
     normal: Tensor  #: [N, 3] unit length, on the side of the point's own normal
 
 
-def small_regions(graph: PointGraph, normals: Tensor, oriented: Tensor, config: SmoothRegions) -> Tensor:
+def small_regions(
+    graph: PointGraph, normals: Tensor, oriented: Tensor, scale: float = 0.003, min_size: int = 15
+) -> Tensor:
     """Groups points into smooth regions: Felzenszwalb-Huttenlocher with weights 1 - n_i . n_j, squared where convex.
 
     Args:
         graph: points and edges.
         normals: [N, 3] unit length.
         oriented: [N] bool, whether a normal is oriented.
-        config: scale and minimum size.
+        scale: k, weight x points. Small, because regions must not cross creases.
+        min_size: points; smaller regions are joined to a neighbour, because their planes are mostly noise.
 
     Returns:
-        [N] int64 regions 0, 1, ...; if `config.scale` is 0, each point is its own region.
+        [N] int64 regions 0, 1, ...
     """
-    if config.scale == 0:
-        return torch.arange(graph.num_points)
     weights = geometric_weights(graph.points, graph.edge_index, normals, oriented, EdgeWeights(segmentator_turn))
-    return ops.felzenszwalb(graph.edge_index, weights, graph.num_points, config.scale, config.min_size)
+    return ops.felzenszwalb(graph.edge_index, weights, graph.num_points, scale, min_size)
 
 
 def one_sided_planes(graph: PointGraph, region: Tensor, normals: Tensor) -> Planes:

@@ -11,7 +11,6 @@ from torchjoint.config import Config
 from torchjoint.scene import Cloud
 from torchjoint.segments.method import Method
 from torchjoint.segments.planes import (
-    SMOOTH_REGIONS,
     combined_costs,
     crease_costs,
     one_sided_planes,
@@ -57,7 +56,7 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Tensor:
     config = _checked(config)
     costs, merging = config.region_costs, config.region_merging
     normals, oriented = orient_normals(graph, evidence.facing)
-    planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
+    planes = one_sided_planes(graph, small_regions(graph, normals, oriented), normals)
     crease = crease_costs(graph.edge_index, planes, oriented, costs.convex_factor)
     superpoint = torch.arange(graph.num_points)
     if not evidence.observations or costs.weight == 0:  # images have no say

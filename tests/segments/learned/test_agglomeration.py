@@ -217,7 +217,9 @@ class TestMethod:
     def test_no_parameter_of_step_6_counts(self, segmenter):
         other = LEARNED.set(["paper.scale=1", "paper.weight=0", "scan.gap=1"])
         expected = segmenter.compute(images=False).points
-        assert torch.equal(segmenter.compute(images=False, config=other).points, expected)
+        message = r"scan\.gap, paper\.weight, paper\.scale: without effect here, where method learned"
+        with pytest.warns(UserWarning, match=message):
+            assert torch.equal(segmenter.compute(images=False, config=other).points, expected)
 
     @pytest.mark.parametrize("method", ["paper", "scan"])
     def test_another_method_needs_another_graph(self, scene, segmenter, method):

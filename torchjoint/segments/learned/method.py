@@ -15,7 +15,7 @@ from torchjoint.segments.learned.boundary_model import OF_IMAGES, PACKAGED, Boun
 from torchjoint.segments.learned.consensus import COPIES, build_consensus, jittered
 from torchjoint.segments.learned.masks import move_to_majority
 from torchjoint.segments.learned.superpoint_graph import SuperpointGraph, masks_of_superpoints
-from torchjoint.segments.learned.superpoints import Colors, build_superpoint_graph, measure_colors
+from torchjoint.segments.learned.superpoints import build_superpoint_graph, measure_colors
 from torchjoint.views.evidence import Evidence
 
 #: Largest distance of a grey point from the axis of greys, units of Lab: of rounded colours.
@@ -47,7 +47,8 @@ def segment(graph: PointGraph, evidence: Evidence, config: Config) -> Hierarchy:
         raise ValueError("graph: method learned needs a graph that was built with the scales of the cloud")
     scales, observations = graph.scales, evidence.observations
     colors = measure_colors(graph, observations)
-    sees_images = len(observations) > 0 and _has_hues(colors)
+    # The model of images learned from cameras of colours only, and errs where all is grey.
+    sees_images = len(observations) > 0 and colors.lab is not None and bool((colors.lab[:, 1:].abs() > GREY).any())
 
     def copy(number: int) -> SuperpointGraph:
         return build_superpoint_graph(jittered(graph, scales, number) if number else graph, scales, evidence, colors)
@@ -64,11 +65,6 @@ def measured(graph: PointGraph) -> str:
     spacing, noise = (1000 * float(of_points.median()) for of_points in (graph.scales.spacing, graph.scales.noise))
     normals = "given" if graph.has_given_normals else f"from {graph.scales.normal_neighbors} neighbours"
     return f", spacing {float(f'{spacing:.3g}'):g} mm, noise {float(f'{noise:.2g}'):g} mm, normals {normals}"
-
-
-def _has_hues(colors: Colors) -> bool:
-    """Whether something is not grey: the model of images learned from cameras of colours only, and errs without."""
-    return colors.lab is not None and bool((colors.lab[:, 1:].abs() > GREY).any())
 
 
 def _model(config: Config, sees_images: bool = False) -> BoundaryModel:

@@ -25,14 +25,7 @@ from torchjoint.segments.learned.masks import cut_by_masks
 from torchjoint.segments.learned.occluded_surfaces import find_occlusions
 from torchjoint.segments.learned.region_statistics import InnerEdges, Surface, statistics_of_points
 from torchjoint.segments.learned.superpoint_graph import SuperpointGraph, give_back_much, masks_of_superpoints, pairs_of
-from torchjoint.segments.planes import (
-    SMOOTH_REGIONS,
-    Planes,
-    combined_costs,
-    crease_costs,
-    one_sided_planes,
-    small_regions,
-)
+from torchjoint.segments.planes import Planes, combined_costs, crease_costs, one_sided_planes, small_regions
 from torchjoint.views.evidence import Evidence
 from torchjoint.views.observations import Observations
 from torchjoint.views.propagation import disagreement
@@ -100,7 +93,7 @@ def build_superpoint_graph(
     """
     give_back_much(graph.num_points)
     normals, oriented = orient_normals(graph, evidence.facing)
-    planes = one_sided_planes(graph, small_regions(graph, normals, oriented, SMOOTH_REGIONS), normals)
+    planes = one_sided_planes(graph, small_regions(graph, normals, oriented), normals)
     seen = evidence.observations
     r = disagreement(evidence.views, evidence.overlap_sum, OVERLAP_THRESHOLD) if seen else None
     lab, color_step, median = colors or measure_colors(graph, seen)

@@ -120,6 +120,8 @@ def with_near_rings(points: Tensor, seen: Directions, rings: Rings | None, confi
 
 def prepare(cloud: Cloud, config: Config, merge_within: float) -> PointGraph:
     """The points alone, in the given coordinates, because the sensor is at the origin. Merges only copies."""
+    if merge_within > 0:
+        warnings.warn("merge_within: without effect here, where method scan segments the points", stacklevel=4)
     world = LocalFrame.of_world()
     local, of_cloud = local_cloud(cloud.without_constants(), world)
     return build_edgeless_graph(local).of(world, of_cloud)
