@@ -168,7 +168,7 @@ class Superpoints(nn.Module):
         super().__init__()
         self.preset = preset if isinstance(preset, SuperpointsConfig) else SuperpointsConfig.from_preset(preset)
         self._config = self.preset.replace(parameters)
-        self.own = parameters
+        self.given = parameters
 
     def forward(
         self,
@@ -179,7 +179,9 @@ class Superpoints(nn.Module):
         drop_invalid: bool = False,
     ) -> Tensor:
         """Labels [N] int64 of points [N, 3]; arguments and errors as in :func:`superpoints`."""
-        return superpoints(points, colors, normals, ptr=ptr, drop_invalid=drop_invalid, preset=self.preset, **self.own)
+        return superpoints(
+            points, colors, normals, ptr=ptr, drop_invalid=drop_invalid, preset=self.preset, **self.given
+        )
 
     if TYPE_CHECKING:  # the one of nn.Module is untyped
         __call__ = forward
