@@ -5,6 +5,7 @@ import io
 import pickle
 import struct
 import warnings
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -183,6 +184,74 @@ def test_joints_of_a_robot_are_not_its_place(turned, root, tmp_path):
         sent.append(("/tf", 0.1 * index, head))
     frames = tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False).frames
     assert [round(-frame.world_to_camera[0, 3].item(), 2) for frame in frames] == [0.04, 1]
+
+
+def moving_head(root="base"):
+    """Six images of a camera that tf moves on a robot."""
+    for index in range(6):
+        at = 0.1 * index
+        yield "/camera/camera_info", at, ros.camera_info(at)
+        yield "/camera/image_raw", at, ros.image(at, ros.colors(index), "bgr8")
+        yield "/tf", at, ros.transforms(at, root, "camera_optical", (0, 0, 0.5 + at))
+
+
+@pytest.mark.parametrize("child", [None, "", "other"])
+def test_poses_of_a_robot_with_a_moving_head_are_told(child, tmp_path):
+    """They do not say what they place, or it is not known to tf: the robot would stand still in silence."""
+    sent = [*moving_head()]
+    for index in range(6):
+        one = pose_stamped(0.1 * index, index) if child is None else ros_points.odometry(0.1 * index, (index, 0, 0))
+        one.child_frame_id = child  # a PoseStamped has none
+        sent.append(("/pose", 0.1 * index, one))
+    bag = ros.record(tmp_path / "walk", sent)
+    with pytest.warns(UserWarning, match="/pose: not used, as tf moves the camera in 'base'; if that is a robot which"):
+        frames = tj.load_scene(bag, fuse=False).frames
+    assert [frame.world_to_camera[0, 3].item() for frame in frames] == [0] * 6
+    if child == "other":
+        with pytest.raises(ValueError, match="/pose: expected poses of a frame that carries 'camera_optical' accordi"):
+            tj.load_scene(bag, fuse=False, topics={"odometry": "/pose"})
+    else:
+        with pytest.warns(UserWarning, match="are taken as those of frame base") if child is None else nullcontext():
+            frames = tj.load_scene(bag, fuse=False, topics={"odometry": "/pose"}).frames
+        assert [-frame.world_to_camera[0, 3].item() for frame in frames] == [0, 1, 2, 3, 4, 5]
+
+
+def test_odometry_beside_the_camera_is_refused(tmp_path):
+    """tf fixes its frame to the robot, but not above the camera: it would have no effect."""
+    sent = [("/tf_static", 0.0, ros.transforms(0.0, "base", "imu", (0, 0.2, 0))), *moving_head()]
+    for index in range(6):
+        one = ros_points.odometry(0.1 * index, (index, 0, 0))
+        one.child_frame_id = "imu"
+        sent.append(("/odom", 0.1 * index, one))
+    with pytest.raises(ValueError, match="/odom: expected poses of a frame that carries 'camera_optical' according to"):
+        tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False)
+
+
+@pytest.mark.parametrize(("apart", "rates"), [(0.5, (20, 20)), (0.5, (10, 40)), (0, (20, 20)), (0.5, (40, 0))])
+def test_two_nodes_that_place_one_frame_are_told(apart, rates, tmp_path):
+    """Poses between the two are of neither. Motion there and back, as of a hand that shakes, is none of it."""
+    sent = [one for one in moving_head("base") if one[0] != "/tf"]
+    sent.append(("/tf_static", 0.0, ros.transforms(0.0, "base", "camera_optical", (0, 0, 0.5))))
+    for which, rate in enumerate(rates):
+        for at in np.arange(0.003 * which, 0.6, 1 / rate if rate else 1):
+            shake = 0.03 * np.sin(2 * np.pi * 5 * at)
+            place = (which * apart + at / 2, shake, 0)
+            sent.append(("/tf", at, ros.transforms(at, "odom", "base", place)))
+    told = r"frame 'base' jumps to and fro: do two nodes move it\?"
+    with pytest.warns(UserWarning, match=told) if apart and all(rates) else nullcontext():
+        tj.load_scene(ros.record(tmp_path / "walk", sorted(sent, key=lambda one: one[1])), fuse=False, time_limit=0.06)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_quaternion_and_its_negative_are_one(sign, tmp_path):
+    """Of a fixed frame this is no other transform; of one that is told again and again, no motion."""
+    turn = np.array([0.5, -0.5, 0.5, 0.5])
+    again = [("/tf_static", 1.0, ros.transforms(1.0, "base", "camera_optical", (0, 0, 0.5), sign * turn))]
+    first = [("/tf_static", 0.0, ros.transforms(0.0, "base", "camera_optical", (0, 0, 0.5), turn))]
+    sent = [*first, *of(ros.messages(), "/tf_static"), *again]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False)
 
 
 def test_a_camera_that_zooms_is_told(tmp_path):

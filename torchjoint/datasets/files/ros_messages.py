@@ -37,6 +37,8 @@ ODOMETRY = (
 )
 #: Metres, and parts of a quaternion: the joints of a robot that stands still are told with so much noise.
 NOISE = 0.01
+#: Two nodes place a frame, if more than this share of its steps lead away and back, to within a fifth of the step.
+MOST_BACK = 0.1
 #: A chain of more frames than this is taken for a cycle.
 _DEEPEST = 64
 
@@ -197,6 +199,9 @@ class Poses:
                 told = f"{self.bag.path}: tf fixes frame {one!r} in {len(self._ways[one])} ways, or moves it, too"
                 warnings.warn(f"{told}; of fixed ones, the last counts at all times: check the poses", stacklevel=4)
             rows = np.array([self._rows[one][time] for time in sorted(self._rows[one])])
+            away, after = (np.linalg.norm(rows[gap:, 1:4] - rows[:-gap, 1:4], axis=1) for gap in (1, 2))
+            if np.sum((away[:-1] > NOISE) & (5 * after < away[:-1])) > MOST_BACK * len(rows):
+                warnings.warn(f"{self.bag.path}: frame {one!r} jumps to and fro: do two nodes move it?", stacklevel=4)
             limit = np.inf if self._fixed[one] else self.limit
             step = interpolate_poses(rows, wanted, limit, f"{self.bag.path}: transform of {one}")
             poses = [None if a is None or b is None else a @ b for a, b in zip(step, poses, strict=True)]
@@ -220,6 +225,9 @@ class Poses:
         for child, message in zip(children, messages, strict=True):
             transform = message.transform if hasattr(message, "transform") else message.pose
             self._add(message.header, child, getattr(transform, "pose", transform), False)
+        if self.moves(frame) and not {*children} & {*self._chain(frame)}:  # it would have no effect
+            told = f"expected poses of a frame that carries {frame!r} according to tf, got those of {children[:1]}"
+            raise ValueError(f"{self.bag.path}: {topic}: {told}; record the tf between them, or choose other poses")
 
     def _chain(self, frame: str) -> list[str]:
         """A frame and the frames above it in the tree, without the root."""
@@ -239,6 +247,8 @@ class Poses:
         row = [time, moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w]
         if not np.isfinite(row).all():
             raise ValueError(f"{self.bag.path}: expected finite transforms of frame {child}, got {row}")
+        first = next(iter(self._rows.get(child, {}).values()), row)
+        row[4:] = [one * (-1 if np.dot(row[4:], first[4:]) < 0 else 1) for one in row[4:]]  # q and -q are one rotation
         self._parents[child] = header.frame_id.lstrip("/")
         self._ways.setdefault(child, set()).add((self._parents[child], *(np.round(row[1:], 2) if fixed else ())))
         if fixed and self._fixed.get(child):  # as in tf2, the latest counts
