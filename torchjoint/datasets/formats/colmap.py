@@ -42,16 +42,9 @@ MODELS = (
 
 #: Camera models that OpenCV can undistort: number of focal lengths (they come first, then cx, cy) and of parameters.
 _PARAMETERS = {
-    "SIMPLE_PINHOLE": (1, 3),
-    "PINHOLE": (2, 4),
-    "SIMPLE_RADIAL": (1, 4),
-    "RADIAL": (1, 5),
-    "OPENCV": (2, 8),
-    "FULL_OPENCV": (2, 12),
-    "OPENCV_FISHEYE": (2, 8),
-    "SIMPLE_RADIAL_FISHEYE": (1, 4),
-    "RADIAL_FISHEYE": (1, 5),
-}
+    "SIMPLE_PINHOLE": (1, 3), "PINHOLE": (2, 4), "SIMPLE_RADIAL": (1, 4), "RADIAL": (1, 5), "OPENCV": (2, 8),
+    "FULL_OPENCV": (2, 12), "OPENCV_FISHEYE": (2, 8), "SIMPLE_RADIAL_FISHEYE": (1, 4), "RADIAL_FISHEYE": (1, 5),
+}  # fmt: skip
 
 
 def recognizes(path: Path) -> bool:
