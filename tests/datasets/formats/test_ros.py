@@ -17,7 +17,7 @@ from samples import ros, ros_points
 from samples._parts import wall
 
 import torchjoint as tj
-from torchjoint.datasets.files.ros_messages import depth_image
+from torchjoint.datasets.files.ros_messages import color_image, depth_image
 
 
 @pytest.mark.parametrize("name", ["ros", "ros_one"])
@@ -280,6 +280,16 @@ def test_z_of_a_map_is_up(world, turn, tmp_path):
     assert (up is not None and up.tolist() == [0, 0, 1]) == (world != "start" and turn[3] == 0)
 
 
+def test_the_camera_of_another_frame_is_told(tmp_path):
+    """It may be that of the depth camera, with another focal length."""
+    messages = [*ros.messages()]
+    for one in (one for topic, _, one in messages if topic == "/camera/camera_info"):
+        one.header.frame_id = "depth_optical"
+    told = "/camera/camera_info: camera of frame 'depth_optical', taken for that of frame 'camera_optical'"
+    with pytest.warns(UserWarning, match=told):
+        tj.load_scene(ros.record(tmp_path / "walk", messages), fuse=False)
+
+
 def test_one_camera_told_twice(tmp_path):
     messages = [*ros.messages()]
     messages += [("/depth/camera_info", time, one) for topic, time, one in messages if topic == "/camera/camera_info"]
@@ -402,6 +412,28 @@ def test_the_cache_knows_the_topics(tmp_path, monkeypatch):
     ]
     assert torch.equal(clouds[0], clouds[2])
     assert float((clouds[0].mean(0) - clouds[1].mean(0)).norm()) > 0.5
+
+
+def packed(pixels, kind, suffix="PNG"):
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, suffix)
+    data = np.frombuffer(file.getvalue(), np.uint8)
+    return ros.TYPES["sensor_msgs/msg/CompressedImage"](ros.header(0.009, "camera_optical"), kind, data)
+
+
+def test_a_png_of_16_bits_is_depth(tmp_path):
+    """Some drivers write `png` for its format. It would count as colour, and with --topics color=... as nothing."""
+    depth = packed(np.full((ros.HEIGHT, ros.WIDTH), 3000, np.uint16), "png")
+    sent = [*of(ros.messages(), "/camera/aligned_depth"), ("/depth/compressed", 0.1, depth)]
+    frames = tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False).frames
+    assert frames[0].depth.unique().tolist() == pytest.approx([3])
+
+
+def test_a_mosaic_is_no_grey_image():
+    """image_transport packs the mosaic of a Bayer filter as a grey JPEG; its raw one is refused, too."""
+    with pytest.raises(ValueError, match="a: expected colours, got a mosaic, 'bayer_rggb8; jpeg compressed '; record"):
+        color_image(packed(ros.colors(0)[..., 0], "bayer_rggb8; jpeg compressed ", "JPEG"), "a")
+    assert color_image(packed(ros.colors(0), "bayer_rggb8; jpeg compressed bgr8", "JPEG"), "a").shape[0] == 3
 
 
 def test_packed_depth_has_16_bits():

@@ -29,12 +29,9 @@ _DEPTH_HEADER = 12
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 #: Other topics with poses, the better ones first: those that name the frame that they place.
 ODOMETRY = (
-    "nav_msgs/msg/Odometry",
-    "geometry_msgs/msg/TransformStamped",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "nav_msgs/msg/Path",
-)
+    "nav_msgs/msg/Odometry", "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Path",
+)  # fmt: skip
 #: Metres, and parts of a quaternion: the joints of a robot that stands still are told with so much noise.
 NOISE = 0.01
 #: Two nodes place a frame, if more than this share of its steps lead away and back, to within a fifth of the step.
@@ -47,13 +44,17 @@ def is_depth(message: Any) -> bool:
     """Whether an Image or CompressedImage holds depth."""
     if hasattr(message, "encoding"):
         return message.encoding in _DEPTHS
-    return "compressedDepth" in message.format or message.format.startswith(("16UC1", "32FC1"))
+    is_png = bytes(message.data[:4]) == b"\x89PNG" and bytes(message.data[24:26]) == b"\x10\0"  # grey, of 16 bits
+    return is_png or "compressedDepth" in message.format or message.format.startswith(("16UC1", "32FC1"))
 
 
 def color_image(message: Any, name: str) -> Tensor:
     """[3, H, W] uint8 RGB of an Image or CompressedImage."""
     if not hasattr(message, "encoding"):
-        return rgb_of(decode_image(message.data.tobytes(), name), name)
+        image = decode_image(message.data.tobytes(), name)
+        if image.mode == "L" and message.format.startswith("bayer"):
+            raise ValueError(f"{name}: expected colours, got a mosaic, {message.format!r}; record those of image_proc")
+        return rgb_of(image, name)
     if message.encoding not in _COLORS:
         raise ValueError(f"{name}: expected an encoding of {', '.join(_COLORS)}, got {message.encoding!r}")
     channels, order = _COLORS[message.encoding]

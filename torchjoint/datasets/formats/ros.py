@@ -105,6 +105,8 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
     info = _only("info", infos[:1] if same else infos, chosen, bag)
     if info is None:
         raise ValueError(f"{bag.path}: expected a topic of CameraInfo for {color}, got {', '.join(bag.kinds)}")
+    if "info" not in chosen and (other := _frame(bag.first(info))) not in ("", frame):
+        warnings.warn(f"{bag.path}: {info}: camera of frame {other!r}, taken for that of frame {frame!r}", stacklevel=3)
     depths = [topic for topic, head in heads.items() if messages.is_depth(head)]
     depth = _only("depth", [topic for topic in depths if _frame(heads[topic]) == frame], chosen, bag)
     for topic in (one for one in depths if _frame(heads[one]) != frame and depth in (None, one)):
@@ -114,11 +116,11 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
     best = next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
     if poses.moves(frame):  # perhaps only on a robot, which tf does not move
         placed, root = {one: getattr(bag.first(one), "child_frame_id", "") for one in best}, poses.root(frame)
-        other = [one for one in best if root not in (poses.root(placed[one]), poses.root(_frame(bag.first(one))))]
+        apart = [one for one in best if root not in (poses.root(placed[one]), poses.root(_frame(bag.first(one))))]
         best = [one for one in best if poses.root(placed[one]) == root and not poses.moves(placed[one])]
-        if other and not best and "odometry" not in chosen:
-            told = f"{', '.join(other)}: not used, as tf moves the camera in {root!r}; if that is a robot which moves"
-            warnings.warn(f"{bag.path}: {told}, too, its poses are missing: --topics odometry={other[0]}", stacklevel=3)
+        if apart and not best and "odometry" not in chosen:
+            told = f"{', '.join(apart)}: not used, as tf moves the camera in {root!r}; if that is a robot which moves"
+            warnings.warn(f"{bag.path}: {told}, too, its poses are missing: --topics odometry={apart[0]}", stacklevel=3)
     return _Topics(color, info, None if "points" in chosen else depth, points, _only("odometry", best, chosen, bag))
 
 
