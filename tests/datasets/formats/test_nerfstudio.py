@@ -104,9 +104,9 @@ def test_paths_without_suffix(folder):
 
 def test_masks_of_frames_are_told(folder):
     values = read(folder)
-    values["frames"][0]["mask_path"] = "masks/frame_00001.png"
+    values["frames"][0] |= {"mask_path": "masks/frame_00001.png", "depth_path": "depth/1.png"}  # of instant-ngp
     save(folder, values)
-    with pytest.warns(UserWarning, match="mask_path of the frames is not read"):
+    with pytest.warns(UserWarning, match="not read: mask_path, depth_path"):
         tj.load_scene(folder)
 
 

@@ -74,8 +74,8 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
         raise ValueError(f"{file}: frames: expected at least one, got none")
     no_twice((one.text("depth_file_path") for one in frames if "depth_file_path" in one), f"{file}: depth image")
     tell_unlisted(str(file), [color for color, _ in shots])
-    if any("mask_path" in frame for frame in frames):
-        warnings.warn(f"{file}: mask_path of the frames is not read; masks of things: segment --masks", stacklevel=2)
+    if unread := [key for key in ("mask_path", "depth_path") if any(key in frame for frame in frames)]:
+        warnings.warn(f"{file}: not read: {', '.join(unread)} (depth_file_path, segment --masks are)", stacklevel=2)
     names = frame_names([str(color) for color, _ in shots])
     return read_shots([shot._replace(name=name) for (_, shot), name in zip(shots, names, strict=True)])
 
