@@ -242,6 +242,17 @@ def test_two_nodes_that_place_one_frame_are_told(apart, rates, tmp_path):
         tj.load_scene(ros.record(tmp_path / "walk", sorted(sent, key=lambda one: one[1])), fuse=False, time_limit=0.06)
 
 
+def test_two_places_at_one_time_are_told(tmp_path):
+    """As of wheels and of a filter that takes their times: the first one recorded counts."""
+    sent = [*ros.messages()]
+    sent += [
+        ("/tf", at + 0.001, ros.transforms(at, "odom", "base", (5 + index, 0, 0))) for index, at in ((0, 0), (1, 0.1))
+    ]
+    with pytest.warns(UserWarning, match="tf places frame 'base' in 2 ways: .*, else the first of a time"):
+        frames = tj.load_scene(ros.record(tmp_path / "walk", sorted(sent, key=lambda one: one[1])), fuse=False).frames
+    assert [round(-frame.world_to_camera[0, 3].item(), 2) for frame in frames] == [0.04, 1]
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_quaternion_and_its_negative_are_one(sign, tmp_path):
     """Of a fixed frame this is no other transform; of one that is told again and again, no motion."""
@@ -264,7 +275,9 @@ def test_a_camera_that_zooms_is_told(tmp_path):
 def test_the_latest_transform_of_a_fixed_frame_counts(tmp_path):
     """All frames before have that pose, too, which must not be silent."""
     again = [("/tf_static", 1.0, ros.transforms(1.0, "base", "camera_optical", (0, 0, 0.7)))]
-    with pytest.warns(UserWarning, match="tf fixes frame 'camera_optical' in 2 ways, or moves it, too; of fixed ones"):
+    with pytest.warns(
+        UserWarning, match="tf places frame 'camera_optical' in 2 ways: check the poses; of fixed ones, the"
+    ):
         frames = tj.load_scene(ros.record(tmp_path / "walk", [*ros.messages(), *again]), voxel_size=0.1).frames
     assert [round(-frame.world_to_camera[2, 3].item(), 3) for frame in frames] == [0.7, 0.7]
 

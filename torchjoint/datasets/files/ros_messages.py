@@ -197,8 +197,8 @@ class Poses:
                 told = f"{self.bag.path}: expected one parent of frame {one!r} in tf, got {', '.join(sorted(several))}"
                 raise ValueError(f"{told}; --topics odometry=TOPIC takes other poses")
             if len(self._ways[one]) > 1:
-                told = f"{self.bag.path}: tf fixes frame {one!r} in {len(self._ways[one])} ways, or moves it, too"
-                warnings.warn(f"{told}; of fixed ones, the last counts at all times: check the poses", stacklevel=4)
+                told = f"{self.bag.path}: tf places frame {one!r} in {len(self._ways[one])} ways: check the poses;"
+                warnings.warn(f"{told} of fixed ones, the last counts, else the first of a time", stacklevel=4)
             rows = np.array([self._rows[one][time] for time in sorted(self._rows[one])])
             away, after = (np.linalg.norm(rows[gap:, 1:4] - rows[:-gap, 1:4], axis=1) for gap in (1, 2))
             if np.sum((away[:-1] > NOISE) & (5 * after < away[:-1])) > MOST_BACK * len(rows):
@@ -255,4 +255,5 @@ class Poses:
         if fixed and self._fixed.get(child):  # as in tf2, the latest counts
             del self._rows[child]
         self._fixed[child] = fixed
-        self._rows.setdefault(child, {}).setdefault(time, row)
+        if np.abs(np.subtract(self._rows.setdefault(child, {}).setdefault(time, row), row)).max() > NOISE:
+            self._ways[child].add((self._parents[child], "at one time"))

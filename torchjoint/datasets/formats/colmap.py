@@ -86,8 +86,7 @@ def _largest(path: Path, models: Sequence[Path]) -> Path:
 def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
     images = read_images(model)
     folder = _image_folder(bases, images[0].name, str(model))
-    expected = f"an image of the model in {model}"
-    files = [present(path_inside(folder, image.name, str(model)), expected) for image in images]
+    files = [present(path_inside(folder, one.name, str(model)), f"an image of the model in {model}") for one in images]
     tell_unlisted(str(model), files)
     parts = zip(files, images, frame_names([image.name for image in images]), strict=True)
     return read_shots([image._replace(color=file, name=name) for file, image, name in parts])
