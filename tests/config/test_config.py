@@ -97,7 +97,7 @@ def test_set_as_on_the_command_line():
 def test_numbers_as_people_write_them():
     assert Config().set(["paper.weight=1e-3"]).paper.weight == 0.001
     assert Config().set(["scan.min_size=010"]).scan.min_size == 10
-    for text in ("[", "1:30", "0x10"):
+    for text in ("[", "1:30", "1:30.5", "0x10"):
         with pytest.raises(ValueError, match=rf"paper\.weight: expected a value, got '{re.escape(text)}'"):
             Config().set([f"paper.weight={text}"])
 

@@ -19,6 +19,7 @@ from samples._parts import write_noise
 import torchjoint as tj
 from torchjoint.datasets.files.ply import write_cloud
 from torchjoint.datasets.fusion import fuse_cloud, fuse_or_recall
+from torchjoint.datasets.recording import tell_left_out
 from torchjoint.scene.frame import camera_center
 
 
@@ -288,3 +289,9 @@ def test_frames_without_depth_among_others(scene_of, tmp_path, monkeypatch):
             UserWarning, match=rf"depth: 1 of {len(frames)} frames have no depth image; the cloud is fused"
         ):
             fuse_or_recall(tmp_path, frames, 0.05, False)
+
+
+def test_a_description_that_counts_too_few(recwarn):
+    """metadata.yaml of a ROS recording may say 2 images where there are 6."""
+    tell_left_out("walk", -4, 2)
+    assert not recwarn

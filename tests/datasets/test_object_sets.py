@@ -68,6 +68,16 @@ class TestYcbVideo:
             tj.load_scene(path)
 
 
+def test_two_sequences_of_ycb_video_in_one_folder(tmp_path):
+    """Each has a world of its own."""
+    path = samples.write("ycb_video", tmp_path / "a")
+    for file in [*path.glob("0*")]:
+        shutil.copy(file, path / f"0049-{file.name}")
+        file.rename(path / f"0048-{file.name}")
+    with pytest.raises(ValueError, match=r"is of no known format: it has 10 \.png files"):
+        tj.load_scene(path)
+
+
 def test_two_images_of_a_frame_of_ycb_video(tmp_path):
     path = samples.write("ycb_video", tmp_path / "a")
     (image,) = path.glob("000002-color.*")

@@ -46,14 +46,17 @@ class _Loader(yaml.SafeLoader):
         return node
 
 
-def _whole_number(_: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
-    """YAML 1.1 reads 010 as 8 and 1:30 as 90: here a number has the value that people read, or is an error."""
-    with damage_is(f"expected a whole number, got {node.value[:60]!r}"):
+def _number(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> float:
+    """YAML 1.1 reads 010 as 8 and 1:30.5 as 90.5: here a number has the value that people read, or is an error."""
+    with damage_is(f"expected a number, got {node.value[:60]!r}"):
+        if node.tag.endswith("float") and ":" not in node.value:
+            return loader.construct_yaml_float(node)
         bounds.check(len(node.value), 19, "digits")  # larger ones can have one hash, and dicts of them take long
         return int(node.value)
 
 
-_Loader.add_constructor("tag:yaml.org,2002:int", _whole_number)
+_Loader.add_constructor("tag:yaml.org,2002:int", _number)
+_Loader.add_constructor("tag:yaml.org,2002:float", _number)
 
 
 def presets(*folder: str) -> dict[str, Any]:

@@ -55,9 +55,8 @@ class Stage:
     def replace(self, values: Mapping[str, Any]) -> Self:
         """A copy with some parameters replaced, by name."""
         names = [spec.name for spec in dataclasses.fields(self)]
-        for name in values:
-            if name not in names:
-                raise ValueError(f"{self.key()}.{name}: unknown parameter, expected one of {', '.join(names)}")
+        if unknown := [name for name in values if name not in names]:
+            raise ValueError(f"{self.key()}.{unknown[0]}: unknown parameter, expected one of {', '.join(names)}")
         return dataclasses.replace(self, **values)
 
 

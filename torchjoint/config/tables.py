@@ -1,19 +1,20 @@
 """The parameters (all steps) as Markdown tables, as the documents show them."""
 
 import dataclasses
+from typing import Any
 
 from torchjoint.config.config import Config
 from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
 
 
-def marked_parameters() -> list[str]:
-    """Names (stage.parameter) of the few parameters that users change, in the order of the method's steps."""
-    return [
-        f"{name}.{spec.name}"
+def marked_parameters() -> dict[str, dataclasses.Field[Any]]:
+    """The few parameters that users change by name (stage.parameter), in the order of the method's steps."""
+    return {
+        f"{name}.{spec.name}": spec
         for name, stage in Config.stages().items()
         for spec in dataclasses.fields(stage)
         if spec.metadata["too_low"]
-    ]
+    }
 
 
 def marked_table() -> str:
@@ -22,12 +23,9 @@ def marked_table() -> str:
         "| parameter | default | unit | sensible | too low looks like | too high looks like |",
         "|---|---:|---|---|---|---|",
     ]
-    for marked in marked_parameters():
-        stage, _, name = marked.partition(".")
-        spec = next(spec for spec in dataclasses.fields(Config.stages()[stage]) if spec.name == name)
-        meta = spec.metadata
-        cells = (f"`{marked}`", spec.default, meta["unit"], meta["sensible"], meta["too_low"], meta["too_high"])
-        lines.append(f"| {' | '.join(map(str, cells))} |")
+    for marked, spec in marked_parameters().items():
+        cells = (spec.metadata[key] for key in ("default", "unit", "sensible", "too_low", "too_high"))
+        lines.append(f"| `{marked}` | {' | '.join(map(str, cells))} |")
     return "\n".join(lines)
 
 

@@ -8,7 +8,9 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -277,18 +279,17 @@ def _pairs(frames: Sequence[Frame]) -> list[tuple[Frame, Frame]]:
     found, count = [], len(frames)
     farthest = max(1, round(REACH * count))
     for index in evenly_spaced_indices(count - 1, PAIRS) if count > 1 else ():
-        one = frames[index]
-        if one.depth is None:
-            continue
-        for other in (frames[partner] for partner in range(index + 1, min(count, index + 1 + farthest))):
-            if other.depth is not None and _has_moved(one.world_to_camera, other.world_to_camera):
-                found.append((one, other))
-                break
+        if (one := frames[index]).depth is not None:
+            others = (frames[partner] for partner in range(index + 1, min(count, index + 1 + farthest)))
+            found += [(one, other) for other in islice(filter(partial(_has_moved, one), others), 1)]
     return found
 
 
-def _has_moved(one: Tensor, other: Tensor) -> bool:
-    motion = other @ torch.linalg.inv(one)
+def _has_moved(one: Frame, other: Frame) -> bool:
+    """Whether a frame has depth, and another place or direction than one before it."""
+    if other.depth is None:
+        return False
+    motion = other.world_to_camera @ torch.linalg.inv(one.world_to_camera)
     turn = math.degrees(math.acos(max(-1.0, min(1.0, (float(motion[:3, :3].trace()) - 1) / 2))))
     return turn >= LEAST_TURN or float(motion[:3, 3].norm()) >= LEAST_STEP
 

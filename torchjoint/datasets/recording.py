@@ -160,7 +160,7 @@ class Shot(NamedTuple):
 
 def tell_left_out(name: str, left: int, total: int, why: str = "have no pose") -> None:
     """Warns of images that are left out; readers of all formats tell it with these words."""
-    if left:
+    if left > 0:  # a recording may count its images wrongly
         warnings.warn(f"{name}: {left} of {total} images {why} and are left out", stacklevel=4)
 
 

@@ -1,6 +1,7 @@
 """Columns of clouds: known names are read, in every format; one scale of colours; single bad values are estimated."""
 
 import warnings
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -177,6 +178,16 @@ def test_bad_colours_and_opacities_are_estimated():
     assert bool((read.opacities == 1).all())
     with pytest.warns(UserWarning, match=r"a\.ply: 40 of 40 normals are NaN or of length 0; the normals are not read"):
         assert repaired(cloud_of(PLACES, "a")._replace(normals=torch.full((40, 3), torch.nan)), "a.ply").normals is None
+
+
+@pytest.mark.parametrize("low", [0, -0.01])
+def test_opacities_that_had_their_sigmoid(low):
+    """Another would make all of them .5 to .73, so that no splat is faint."""
+    values = np.linspace(low, 1, 40, dtype=np.float32)
+    splats = PLACES | named(("f_dc_0", "f_dc_1", "f_dc_2"), XYZ) | {"opacity": values}
+    with nullcontext() if low else pytest.warns(UserWarning, match="a: opacities of 0 to 1 are read as they are, with"):
+        read = cloud_of(splats, "a").opacities
+    torch.testing.assert_close(read, torch.from_numpy(values).sigmoid() if low else torch.from_numpy(values))
 
 
 @pytest.mark.parametrize("head", ["x y z r g b\n", ""])

@@ -104,9 +104,9 @@ def test_paths_without_suffix(folder):
 
 def test_masks_of_frames_are_told(folder):
     values = read(folder)
-    values["frames"][0]["mask_path"] = "masks/frame_00001.png"
+    values["frames"][0] |= {"mask_path": "masks/frame_00001.png", "depth_path": "depth/1.png"}  # of instant-ngp
     save(folder, values)
-    with pytest.warns(UserWarning, match="mask_path of the frames is not read"):
+    with pytest.warns(UserWarning, match="not read: mask_path, depth_path"):
         tj.load_scene(folder)
 
 
@@ -337,6 +337,7 @@ class TestPaths:
         ({"camera_model": "EQUIRECT"}, {}, r"frames\[0\]: camera_model: .* got 'EQUIRECT'; undistort the images first"),
         ({"k4": 0.1}, {}, r"frames\[0\]: k4: expected 0 for a perspective camera, got 0\.1"),
         ({"k5": 0.1}, {}, r"frames\[0\]: k5: expected 0 for a perspective camera, got 0\.1"),
+        ({"ftheta_p1": 0.1}, {}, r"frames\[0\]: ftheta_p1: expected 0 for a perspective camera, got 0\.1"),
         ({"p1": 0.1, "is_fisheye": True}, {}, r"frames\[0\]: p1: expected 0 for a fisheye camera, got 0\.1"),
         (
             {"distortion_params": [0] * 6, "k1": 0.1},
@@ -364,7 +365,7 @@ class TestPaths:
             {"depth_file_path": "sparse_pc.ply", "depth_unit_scale_factor": 0},
             r"scale_factor: expected the metres per unit, above 0",
         ),
-        ({"depth_file_path": "sparse_pc.ply"}, {}, r"frames: depth image 'sparse_pc\.ply' is there twice"),
+        ({"depth_file_path": "sparse_pc.ply"}, {}, r"json: depth image 'sparse_pc\.ply' is there twice"),
     ],
 )
 def test_wrong_values(folder, of_all, of_frame, message):

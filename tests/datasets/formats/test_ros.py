@@ -5,6 +5,7 @@ import io
 import pickle
 import struct
 import warnings
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from samples import ros, ros_points
 from samples._parts import wall
 
 import torchjoint as tj
-from torchjoint.datasets.files.ros_messages import depth_image
+from torchjoint.datasets.files.ros_messages import color_image, depth_image
 
 
 @pytest.mark.parametrize("name", ["ros", "ros_one"])
@@ -185,6 +186,85 @@ def test_joints_of_a_robot_are_not_its_place(turned, root, tmp_path):
     assert [round(-frame.world_to_camera[0, 3].item(), 2) for frame in frames] == [0.04, 1]
 
 
+def moving_head(root="base"):
+    """Six images of a camera that tf moves on a robot."""
+    for index in range(6):
+        at = 0.1 * index
+        yield "/camera/camera_info", at, ros.camera_info(at)
+        yield "/camera/image_raw", at, ros.image(at, ros.colors(index), "bgr8")
+        yield "/tf", at, ros.transforms(at, root, "camera_optical", (0, 0, 0.5 + at))
+
+
+@pytest.mark.parametrize("child", [None, "", "other"])
+def test_poses_of_a_robot_with_a_moving_head_are_told(child, tmp_path):
+    """They do not say what they place, or it is not known to tf: the robot would stand still in silence."""
+    sent = [*moving_head()]
+    for index in range(6):
+        one = pose_stamped(0.1 * index, index) if child is None else ros_points.odometry(0.1 * index, (index, 0, 0))
+        one.child_frame_id = child  # a PoseStamped has none
+        sent.append(("/pose", 0.1 * index, one))
+    bag = ros.record(tmp_path / "walk", sent)
+    with pytest.warns(UserWarning, match="/pose: not used, as tf moves the camera in 'base'; if that is a robot which"):
+        frames = tj.load_scene(bag, fuse=False).frames
+    assert [frame.world_to_camera[0, 3].item() for frame in frames] == [0] * 6
+    if child == "other":
+        with pytest.raises(ValueError, match="/pose: expected poses of a frame that carries 'camera_optical' accordi"):
+            tj.load_scene(bag, fuse=False, topics={"odometry": "/pose"})
+    else:
+        with pytest.warns(UserWarning, match="are taken as those of frame base") if child is None else nullcontext():
+            frames = tj.load_scene(bag, fuse=False, topics={"odometry": "/pose"}).frames
+        assert [-frame.world_to_camera[0, 3].item() for frame in frames] == [0, 1, 2, 3, 4, 5]
+
+
+def test_odometry_beside_the_camera_is_refused(tmp_path):
+    """tf fixes its frame to the robot, but not above the camera: it would have no effect."""
+    sent = [("/tf_static", 0.0, ros.transforms(0.0, "base", "imu", (0, 0.2, 0))), *moving_head()]
+    for index in range(6):
+        one = ros_points.odometry(0.1 * index, (index, 0, 0))
+        one.child_frame_id = "imu"
+        sent.append(("/odom", 0.1 * index, one))
+    with pytest.raises(ValueError, match="/odom: expected poses of a frame that carries 'camera_optical' according to"):
+        tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False)
+
+
+@pytest.mark.parametrize(("apart", "rates"), [(0.5, (20, 20)), (0.5, (10, 40)), (0, (20, 20)), (0.5, (40, 0))])
+def test_two_nodes_that_place_one_frame_are_told(apart, rates, tmp_path):
+    """Poses between the two are of neither. Motion there and back, as of a hand that shakes, is none of it."""
+    sent = [one for one in moving_head("base") if one[0] != "/tf"]
+    sent.append(("/tf_static", 0.0, ros.transforms(0.0, "base", "camera_optical", (0, 0, 0.5))))
+    for which, rate in enumerate(rates):
+        for at in np.arange(0.003 * which, 0.6, 1 / rate if rate else 1):
+            shake = 0.03 * np.sin(2 * np.pi * 5 * at)
+            place = (which * apart + at / 2, shake, 0)
+            sent.append(("/tf", at, ros.transforms(at, "odom", "base", place)))
+    told = r"frame 'base' jumps to and fro: do two nodes move it\?"
+    with pytest.warns(UserWarning, match=told) if apart and all(rates) else nullcontext():
+        tj.load_scene(ros.record(tmp_path / "walk", sorted(sent, key=lambda one: one[1])), fuse=False, time_limit=0.06)
+
+
+def test_two_places_at_one_time_are_told(tmp_path):
+    """As of wheels and of a filter that takes their times: the first one recorded counts."""
+    sent = [*ros.messages()]
+    sent += [
+        ("/tf", at + 0.001, ros.transforms(at, "odom", "base", (5 + index, 0, 0))) for index, at in ((0, 0), (1, 0.1))
+    ]
+    with pytest.warns(UserWarning, match="tf places frame 'base' in 2 ways: .*, else the first of a time"):
+        frames = tj.load_scene(ros.record(tmp_path / "walk", sorted(sent, key=lambda one: one[1])), fuse=False).frames
+    assert [round(-frame.world_to_camera[0, 3].item(), 2) for frame in frames] == [0.04, 1]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_quaternion_and_its_negative_are_one(sign, tmp_path):
+    """Of a fixed frame this is no other transform; of one that is told again and again, no motion."""
+    turn = np.array([0.5, -0.5, 0.5, 0.5])
+    again = [("/tf_static", 1.0, ros.transforms(1.0, "base", "camera_optical", (0, 0, 0.5), sign * turn))]
+    first = [("/tf_static", 0.0, ros.transforms(0.0, "base", "camera_optical", (0, 0, 0.5), turn))]
+    sent = [*first, *of(ros.messages(), "/tf_static"), *again]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False)
+
+
 def test_a_camera_that_zooms_is_told(tmp_path):
     messages = list(ros.messages())
     [one for topic, _, one in messages if topic == "/camera/camera_info"][1].k[0] = 24.0
@@ -195,7 +275,9 @@ def test_a_camera_that_zooms_is_told(tmp_path):
 def test_the_latest_transform_of_a_fixed_frame_counts(tmp_path):
     """All frames before have that pose, too, which must not be silent."""
     again = [("/tf_static", 1.0, ros.transforms(1.0, "base", "camera_optical", (0, 0, 0.7)))]
-    with pytest.warns(UserWarning, match="tf fixes frame 'camera_optical' in 2 ways, or moves it, too; of fixed ones"):
+    with pytest.warns(
+        UserWarning, match="tf places frame 'camera_optical' in 2 ways: check the poses; of fixed ones, the"
+    ):
         frames = tj.load_scene(ros.record(tmp_path / "walk", [*ros.messages(), *again]), voxel_size=0.1).frames
     assert [round(-frame.world_to_camera[2, 3].item(), 3) for frame in frames] == [0.7, 0.7]
 
@@ -209,6 +291,16 @@ def test_z_of_a_map_is_up(world, turn, tmp_path):
         message.transforms[0].header.frame_id = world
     up = tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False).up
     assert (up is not None and up.tolist() == [0, 0, 1]) == (world != "start" and turn[3] == 0)
+
+
+def test_the_camera_of_another_frame_is_told(tmp_path):
+    """It may be that of the depth camera, with another focal length."""
+    messages = [*ros.messages()]
+    for one in (one for topic, _, one in messages if topic == "/camera/camera_info"):
+        one.header.frame_id = "depth_optical"
+    told = "/camera/camera_info: camera of frame 'depth_optical', taken for that of frame 'camera_optical'"
+    with pytest.warns(UserWarning, match=told):
+        tj.load_scene(ros.record(tmp_path / "walk", messages), fuse=False)
 
 
 def test_one_camera_told_twice(tmp_path):
@@ -333,6 +425,28 @@ def test_the_cache_knows_the_topics(tmp_path, monkeypatch):
     ]
     assert torch.equal(clouds[0], clouds[2])
     assert float((clouds[0].mean(0) - clouds[1].mean(0)).norm()) > 0.5
+
+
+def packed(pixels, kind, suffix="PNG"):
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, suffix)
+    data = np.frombuffer(file.getvalue(), np.uint8)
+    return ros.TYPES["sensor_msgs/msg/CompressedImage"](ros.header(0.009, "camera_optical"), kind, data)
+
+
+def test_a_png_of_16_bits_is_depth(tmp_path):
+    """Some drivers write `png` for its format. It would count as colour, and with --topics color=... as nothing."""
+    depth = packed(np.full((ros.HEIGHT, ros.WIDTH), 3000, np.uint16), "png")
+    sent = [*of(ros.messages(), "/camera/aligned_depth"), ("/depth/compressed", 0.1, depth)]
+    frames = tj.load_scene(ros.record(tmp_path / "walk", sent), fuse=False).frames
+    assert frames[0].depth.unique().tolist() == pytest.approx([3])
+
+
+def test_a_mosaic_is_no_grey_image():
+    """image_transport packs the mosaic of a Bayer filter as a grey JPEG; its raw one is refused, too."""
+    with pytest.raises(ValueError, match="a: expected colours, got a mosaic, 'bayer_rggb8; jpeg compressed '; record"):
+        color_image(packed(ros.colors(0)[..., 0], "bayer_rggb8; jpeg compressed ", "JPEG"), "a")
+    assert color_image(packed(ros.colors(0), "bayer_rggb8; jpeg compressed bgr8", "JPEG"), "a").shape[0] == 3
 
 
 def test_packed_depth_has_16_bits():

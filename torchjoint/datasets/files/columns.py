@@ -99,8 +99,7 @@ def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
         tell_half(float(points.abs().max()), torch.float16, name)
     rgb, normals, opacities = group(COLORS), group(NORMALS), None
     if rgb is not None and all(one.dtype.kind in "iu" for one in rgb) and max(one.max(initial=0) for one in rgb) == 1:
-        told = "colours are only 0 and 1 of 255, and are read as black: are they of 0 to 1?"
-        warnings.warn(f"{name}: {told}", stacklevel=4)
+        warnings.warn(f"{name}: colours are only 0 and 1 of 255, and are read as black: not of 0 to 1?", stacklevel=4)
     colors = None if rgb is None else unit_colors(np.stack(rgb, axis=1))
     for packed in PACKED:
         whole = next((column for column in columns if plain(column) == packed), None)
@@ -108,8 +107,12 @@ def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
             colors = unit_colors(read)
             used.add(whole)
     if (harmonics := group(HARMONICS)) is not None:
-        faint = group(OPACITY)
-        opacities = None if faint is None else _stacked(faint, np.float32)[:, 0].sigmoid()
+        if (faint := group(OPACITY)) is not None:
+            opacities = _stacked(faint, np.float32)[:, 0]
+            if (opacities >= 0).all() and 0 < opacities.max() <= 1:
+                warnings.warn(f"{name}: opacities of 0 to 1 are read as they are, without a sigmoid", stacklevel=4)
+            else:
+                opacities = opacities.sigmoid()
         colors = (0.5 + CONSTANT * _stacked(harmonics, np.float32)).clamp(0, 1) if colors is None else colors
     tell_not_read([column for column in columns if column not in used], name)
     has_any = normals is not None and any(column.any() for column in normals)  # splats have zeros, for example

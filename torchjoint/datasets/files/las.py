@@ -167,8 +167,7 @@ def las_library() -> Any:
 
 def laz_backend(laspy: Any) -> Any:
     """What packs and unpacks LAZ, for laspy: lazrs, with one thread in a forked process, as of a data loader."""
-    backend = laspy.LazBackend
-    return backend.LazrsParallel if os.getpid() == _PROCESS else backend.Lazrs
+    return laspy.LazBackend.LazrsParallel if os.getpid() == _PROCESS else laspy.LazBackend.Lazrs
 
 
 @contextmanager
@@ -236,8 +235,7 @@ def check_header(path: Path) -> LasHeader:
         end = header.extended_at if header.num_extended else size
         _skip_records(file, header.size, header.num_records, "H")
         if not file.place <= header.points_at <= size:
-            told = f"the points begin at byte {header.points_at}"
-            raise ValueError(f"{told}: the records before them end at {file.place}")
+            raise ValueError(f"the points begin at byte {header.points_at}, records before them end at {file.place}")
         _skip_records(file, header.extended_at, header.num_extended, "Q")
         if not header.num_points:
             return header

@@ -72,8 +72,7 @@ def read_matrices(path: Path, max_count: int) -> dict[str, npt.NDArray[Any]]:
 def _unpack(packed: bytes, most: int, order: str) -> bytes:
     """Decompresses at most the first `most` bytes of the matrix in a compressed element."""
     unpacked = zlib.decompressobj().decompress(packed, most + 8)
-    (kind,) = struct.unpack_from(f"{order}I", unpacked)
-    if kind != _MATRIX:
+    if (kind := struct.unpack_from(f"{order}I", unpacked)[0]) != _MATRIX:
         raise ValueError(f"a packed element of type {kind}")
     return unpacked[8:]
 

@@ -13,7 +13,8 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from itertools import accumulate
+from functools import cache
+from itertools import accumulate, islice
 from pathlib import Path
 from threading import Lock
 from types import SimpleNamespace
@@ -115,9 +116,8 @@ class Bag:
         """Reads one message again."""
         with self._opened() as reader:
             some = reader.messages(_connections(reader, topic), start=stamp.recorded, stop=stamp.recorded + 1)
-            for place, (connection, _, data) in enumerate(some):
-                if place == stamp.place:
-                    return reader.deserialize(data, connection.msgtype)
+            for connection, _, data in islice(some, stamp.place, None):
+                return reader.deserialize(data, connection.msgtype)
         raise ValueError(f"{self.path}: expected a message of topic {topic} at {stamp.time:.3f} s, found none")
 
     @contextmanager
@@ -174,13 +174,12 @@ def _check_chunks(storage: Any) -> None:
         bounds.check_unpacked(max(held, default=0), file.path.stat().st_size)
 
 
+@cache
 def bound_definitions() -> None:
     """Makes rosbags compute no number beyond 64 bits in a definition: `1 << 99999999999` fills the memory."""
     from rosbags.typesys import idl
 
     evaluate = idl.eval_expression
-    if evaluate.__module__ == __name__:
-        return
 
     def evaluated(expression: Any, *rest: Any) -> Any:
         if getattr(expression, "op", None) == "<<" and hasattr(expression, "right"):
@@ -194,13 +193,12 @@ def bound_definitions() -> None:
     idl.eval_expression = evaluated
 
 
+@cache
 def check_databases() -> None:
     """Makes rosbags look at a database before it asks it, and find it if its path has characters of a URI."""
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
     open_database = Sqlite3Reader.open
-    if open_database.__module__ == __name__:
-        return
 
     def opened(reader: Any) -> None:
         for one in (Path(f"{reader.path}-{end}") for end in ("wal", "journal")):

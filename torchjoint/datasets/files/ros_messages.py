@@ -29,14 +29,13 @@ _DEPTH_HEADER = 12
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 #: Other topics with poses, the better ones first: those that name the frame that they place.
 ODOMETRY = (
-    "nav_msgs/msg/Odometry",
-    "geometry_msgs/msg/TransformStamped",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "nav_msgs/msg/Path",
-)
+    "nav_msgs/msg/Odometry", "geometry_msgs/msg/TransformStamped", "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Path",
+)  # fmt: skip
 #: Metres, and parts of a quaternion: the joints of a robot that stands still are told with so much noise.
 NOISE = 0.01
+#: Two nodes place a frame, if more than this share of its steps lead away and back, to within a fifth of the step.
+MOST_BACK = 0.1
 #: A chain of more frames than this is taken for a cycle.
 _DEEPEST = 64
 
@@ -45,13 +44,17 @@ def is_depth(message: Any) -> bool:
     """Whether an Image or CompressedImage holds depth."""
     if hasattr(message, "encoding"):
         return message.encoding in _DEPTHS
-    return "compressedDepth" in message.format or message.format.startswith(("16UC1", "32FC1"))
+    is_png = bytes(message.data[:4]) == b"\x89PNG" and bytes(message.data[24:26]) == b"\x10\0"  # grey, of 16 bits
+    return is_png or "compressedDepth" in message.format or message.format.startswith(("16UC1", "32FC1"))
 
 
 def color_image(message: Any, name: str) -> Tensor:
     """[3, H, W] uint8 RGB of an Image or CompressedImage."""
     if not hasattr(message, "encoding"):
-        return rgb_of(decode_image(message.data.tobytes(), name), name)
+        image = decode_image(message.data.tobytes(), name)
+        if image.mode == "L" and message.format.startswith("bayer"):
+            raise ValueError(f"{name}: expected colours, got a mosaic, {message.format!r}; record those of image_proc")
+        return rgb_of(image, name)
     if message.encoding not in _COLORS:
         raise ValueError(f"{name}: expected an encoding of {', '.join(_COLORS)}, got {message.encoding!r}")
     channels, order = _COLORS[message.encoding]
@@ -194,9 +197,12 @@ class Poses:
                 told = f"{self.bag.path}: expected one parent of frame {one!r} in tf, got {', '.join(sorted(several))}"
                 raise ValueError(f"{told}; --topics odometry=TOPIC takes other poses")
             if len(self._ways[one]) > 1:
-                told = f"{self.bag.path}: tf fixes frame {one!r} in {len(self._ways[one])} ways, or moves it, too"
-                warnings.warn(f"{told}; of fixed ones, the last counts at all times: check the poses", stacklevel=4)
+                told = f"{self.bag.path}: tf places frame {one!r} in {len(self._ways[one])} ways: check the poses;"
+                warnings.warn(f"{told} of fixed ones, the last counts, else the first of a time", stacklevel=4)
             rows = np.array([self._rows[one][time] for time in sorted(self._rows[one])])
+            away, after = (np.linalg.norm(rows[gap:, 1:4] - rows[:-gap, 1:4], axis=1) for gap in (1, 2))
+            if np.sum((away[:-1] > NOISE) & (5 * after < away[:-1])) > MOST_BACK * len(rows):
+                warnings.warn(f"{self.bag.path}: frame {one!r} jumps to and fro: do two nodes move it?", stacklevel=4)
             limit = np.inf if self._fixed[one] else self.limit
             step = interpolate_poses(rows, wanted, limit, f"{self.bag.path}: transform of {one}")
             poses = [None if a is None or b is None else a @ b for a, b in zip(step, poses, strict=True)]
@@ -220,6 +226,9 @@ class Poses:
         for child, message in zip(children, messages, strict=True):
             transform = message.transform if hasattr(message, "transform") else message.pose
             self._add(message.header, child, getattr(transform, "pose", transform), False)
+        if self.moves(frame) and not {*children} & {*self._chain(frame)}:  # it would have no effect
+            told = f"expected poses of a frame that carries {frame!r} according to tf, got those of {children[:1]}"
+            raise ValueError(f"{self.bag.path}: {topic}: {told}; record the tf between them, or choose other poses")
 
     def _chain(self, frame: str) -> list[str]:
         """A frame and the frames above it in the tree, without the root."""
@@ -239,9 +248,12 @@ class Poses:
         row = [time, moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w]
         if not np.isfinite(row).all():
             raise ValueError(f"{self.bag.path}: expected finite transforms of frame {child}, got {row}")
+        first = next(iter(self._rows.get(child, {}).values()), row)
+        row[4:] = [one * (-1 if np.dot(row[4:], first[4:]) < 0 else 1) for one in row[4:]]  # q and -q are one rotation
         self._parents[child] = header.frame_id.lstrip("/")
         self._ways.setdefault(child, set()).add((self._parents[child], *(np.round(row[1:], 2) if fixed else ())))
         if fixed and self._fixed.get(child):  # as in tf2, the latest counts
             del self._rows[child]
         self._fixed[child] = fixed
-        self._rows.setdefault(child, {}).setdefault(time, row)
+        if np.abs(np.subtract(self._rows.setdefault(child, {}).setdefault(time, row), row)).max() > NOISE:
+            self._ways[child].add((self._parents[child], "at one time"))

@@ -51,7 +51,8 @@ def _frames_folder(path: Path) -> Path:
 
 
 def _read_frames(folder: Path) -> LazySequence[Frame]:
-    images = sorted((_time(file), file) for file in (folder / IMAGES).glob("*.png"))
+    files = [(file.stem.rpartition("_")[2], file) for file in (folder / IMAGES).glob("*.png")]
+    images = sorted((parse_numbers([time], f"{file}: time in the name")[0], file) for time, file in files)
     poses = _read_poses(folder / TRAJECTORY, [time for time, _ in images])
     cameras = {file: _near(folder / CAMERAS, file.stem, ".pincam") for _, file in images}
     tell_lost(str(folder), (folder / CAMERAS).glob("*.pincam"), cameras.values())
@@ -60,10 +61,6 @@ def _read_frames(folder: Path) -> LazySequence[Frame]:
         for (_, file), pose in posed(list(zip(images, poses, strict=True)), str(folder), TRAJECTORY, TOLERANCE)
     ]
     return read_shots(shots)
-
-
-def _time(file: Path) -> float:
-    return parse_numbers([file.stem.rpartition("_")[2]], f"{file}: time in the name")[0]
 
 
 def _read_poses(file: Path, times: list[float]) -> list[Tensor | None]:

@@ -42,16 +42,9 @@ MODELS = (
 
 #: Camera models that OpenCV can undistort: number of focal lengths (they come first, then cx, cy) and of parameters.
 _PARAMETERS = {
-    "SIMPLE_PINHOLE": (1, 3),
-    "PINHOLE": (2, 4),
-    "SIMPLE_RADIAL": (1, 4),
-    "RADIAL": (1, 5),
-    "OPENCV": (2, 8),
-    "FULL_OPENCV": (2, 12),
-    "OPENCV_FISHEYE": (2, 8),
-    "SIMPLE_RADIAL_FISHEYE": (1, 4),
-    "RADIAL_FISHEYE": (1, 5),
-}
+    "SIMPLE_PINHOLE": (1, 3), "PINHOLE": (2, 4), "SIMPLE_RADIAL": (1, 4), "RADIAL": (1, 5), "OPENCV": (2, 8),
+    "FULL_OPENCV": (2, 12), "OPENCV_FISHEYE": (2, 8), "SIMPLE_RADIAL_FISHEYE": (1, 4), "RADIAL_FISHEYE": (1, 5),
+}  # fmt: skip
 
 
 def recognizes(path: Path) -> bool:
@@ -93,8 +86,7 @@ def _largest(path: Path, models: Sequence[Path]) -> Path:
 def _read_frames(model: Path, bases: Sequence[Path]) -> Sequence[Frame]:
     images = read_images(model)
     folder = _image_folder(bases, images[0].name, str(model))
-    expected = f"an image of the model in {model}"
-    files = [present(path_inside(folder, image.name, str(model)), expected) for image in images]
+    files = [present(path_inside(folder, one.name, str(model)), f"an image of the model in {model}") for one in images]
     tell_unlisted(str(model), files)
     parts = zip(files, images, frame_names([image.name for image in images]), strict=True)
     return read_shots([image._replace(color=file, name=name) for file, image, name in parts])

@@ -72,11 +72,10 @@ def read_frames(file: Path, record: Record) -> Sequence[Frame]:
     shots = sorted((_shot(file, frame) for frame in frames), key=lambda pair: pair[0])
     if not shots:
         raise ValueError(f"{file}: frames: expected at least one, got none")
-    depths = [frame.text("depth_file_path") for frame in frames if "depth_file_path" in frame]
-    no_twice(depths, f"{file}: frames: depth image")
+    no_twice((one.text("depth_file_path") for one in frames if "depth_file_path" in one), f"{file}: depth image")
     tell_unlisted(str(file), [color for color, _ in shots])
-    if any("mask_path" in frame for frame in frames):
-        warnings.warn(f"{file}: mask_path of the frames is not read; masks of things: segment --masks", stacklevel=2)
+    if unread := [key for key in ("mask_path", "depth_path") if any(key in frame for frame in frames)]:
+        warnings.warn(f"{file}: not read: {', '.join(unread)} (depth_file_path, segment --masks are)", stacklevel=2)
     names = frame_names([str(color) for color, _ in shots])
     return read_shots([shot._replace(name=name) for (_, shot), name in zip(shots, names, strict=True)])
 
@@ -122,7 +121,7 @@ def read_camera(frame: Record, color: Path) -> Camera:
     if said not in (True, False):
         raise ValueError(f"{frame.name}: is_fisheye: expected true or false, got {str(said)[:60]!r}")
     fisheye = model == "OPENCV_FISHEYE" or bool(said)
-    for key in ("k5", "k6", *(("p1", "p2") if fisheye else ("k4",))):
+    for key in ("k5", "k6", "skew", "ftheta_p1", *(("p1", "p2") if fisheye else ("k4",))):
         if frame.number(key, 0.0) != 0:
             kind = "fisheye" if fisheye else "perspective"
             raise ValueError(f"{frame.name}: {key}: expected 0 for a {kind} camera, got {frame.number(key)}")

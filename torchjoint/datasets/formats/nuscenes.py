@@ -50,10 +50,9 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def _shot(path: Path, camera: Record, name: str) -> Shot:
-    intrinsics = camera.matrix("cam2img", 3)
     image = present(path_inside(path, camera.text("img_path"), camera.name), f"the image of {camera.name}")
     pose = as_pose(camera.matrix("lidar2cam", 4), f"{camera.name}: lidar2cam")
-    return Shot(image, Camera(intrinsics, name=f"{camera.name}: cam2img"), pose, name)
+    return Shot(image, Camera(camera.matrix("cam2img", 3), name=f"{camera.name}: cam2img"), pose, name)
 
 
 def _instances(records: list[Record], points: Tensor) -> Tensor:

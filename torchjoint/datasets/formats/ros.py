@@ -105,6 +105,8 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
     info = _only("info", infos[:1] if same else infos, chosen, bag)
     if info is None:
         raise ValueError(f"{bag.path}: expected a topic of CameraInfo for {color}, got {', '.join(bag.kinds)}")
+    if "info" not in chosen and (other := _frame(bag.first(info))) not in ("", frame):
+        warnings.warn(f"{bag.path}: {info}: camera of frame {other!r}, taken for that of frame {frame!r}", stacklevel=3)
     depths = [topic for topic, head in heads.items() if messages.is_depth(head)]
     depth = _only("depth", [topic for topic in depths if _frame(heads[topic]) == frame], chosen, bag)
     for topic in (one for one in depths if _frame(heads[one]) != frame and depth in (None, one)):
@@ -113,8 +115,12 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
     points = _only("points", bag.topics(POINTS) if depth is None else (), chosen, bag)
     best = next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
     if poses.moves(frame):  # perhaps only on a robot, which tf does not move
-        placed = {one: getattr(bag.first(one), "child_frame_id", "") for one in best}
-        best = [one for one in best if poses.root(placed[one]) == poses.root(frame) and not poses.moves(placed[one])]
+        placed, root = {one: getattr(bag.first(one), "child_frame_id", "") for one in best}, poses.root(frame)
+        apart = [one for one in best if root not in (poses.root(placed[one]), poses.root(_frame(bag.first(one))))]
+        best = [one for one in best if poses.root(placed[one]) == root and not poses.moves(placed[one])]
+        if apart and not best and "odometry" not in chosen:
+            told = f"{', '.join(apart)}: not used, as tf moves the camera in {root!r}; if that is a robot which moves"
+            warnings.warn(f"{bag.path}: {told}, too, its poses are missing: --topics odometry={apart[0]}", stacklevel=3)
     return _Topics(color, info, None if "points" in chosen else depth, points, _only("odometry", best, chosen, bag))
 
 
@@ -127,11 +133,9 @@ def _check_poses(bag: Bag, topics: _Topics, poses: messages.Poses, frame: str) -
         return
     way_out = "if it stood still, --topics odometry=none says so"
     if poses.root(frame) == frame:
-        raise ValueError(
-            f"{bag.path}: expected poses of the camera, frame {frame!r}, in tf, or as odometry, got "
-            f"{f'none in {topics.odometry}' if topics.odometry else 'none'}; record them, or name their topic "
-            f"(--topics odometry=TOPIC); {way_out}"
-        )
+        got = f"none in {topics.odometry}" if topics.odometry else "none"
+        told = f"{bag.path}: expected poses of the camera, frame {frame!r}, in tf, or as odometry, got {got}"
+        raise ValueError(f"{told}; record them, or name their topic (--topics odometry=TOPIC); {way_out}")
     told = f"according to tf the camera, frame {frame!r}, stands still in frame {poses.root(frame)!r}"
     way_out = f"if it moved, its poses are missing (--topics odometry=TOPIC); {way_out}"
     warnings.warn(f"{bag.path}: no pose changes: {told}; {way_out}", stacklevel=3)

@@ -291,11 +291,9 @@ class SensFile:
         return torch.from_numpy(np.where(raw == 65535, 0, raw).astype(np.float32) / np.float32(self._depth_shift))
 
     def _read_header(self, file: BinaryFile) -> None:
-        (version,) = file.read("I")
-        if version != VERSION:
+        if (version := file.read("I")[0]) != VERSION:
             raise ValueError(f"{self.path}: expected a .sens file of version {VERSION}, got version {version}")
-        (name_bytes,) = file.read("Q")
-        file.skip(name_bytes)
+        file.skip(*file.read("Q"))  # its name
         *cameras, color_codec, depth_codec, cw, ch, dw, dh, shift = file.read(_HEADER)
         matrices = torch.tensor(cameras, dtype=torch.float64).reshape(4, 4, 4)
         self.color_intrinsics = as_intrinsics(matrices[0, :3, :3], f"{self.path}, colour's intrinsics")

@@ -94,8 +94,7 @@ def associate(first: Sequence[float], second: Sequence[float], tolerance: float 
 def _read_files(path: Path) -> list[tuple[float, Path]]:
     """Reads a list of timestamps and paths, sorted by time; of lines with equal times the first is used."""
     files: dict[float, Path] = {}
-    layout = "a timestamp and a path"
-    for name, (time, file) in fields(read_lines(path, f"lines of {layout}"), layout, 2):
+    for name, (time, file) in fields(read_lines(path, "lines of a time and a path"), "a timestamp and a path", 2):
         files.setdefault(parse_numbers([time], name)[0], path_inside(path.parent, file, name))
     return sorted(files.items())
 

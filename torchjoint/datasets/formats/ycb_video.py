@@ -54,7 +54,8 @@ def _shot(file: Path) -> Shot:
 
 
 def _colors(path: Path) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.name.endswith(("-color.jpg", "-color.png")))
+    # Of one sequence: 0048-000001 and 0049-000001 have different worlds.
+    return sorted(file for file in path.glob("*-color.[jp][pn]g") if _name(file).isdecimal())
 
 
 def _name(file: Path) -> str:
