@@ -109,7 +109,7 @@ def cloud_of(columns: Mapping[str, Array], name: str) -> CloudFile:
     if (harmonics := group(HARMONICS)) is not None:
         if (faint := group(OPACITY)) is not None:
             opacities = _stacked(faint, np.float32)[:, 0]
-            if (opacities >= 0).all() and 0 < opacities.max() <= 1:
+            if opacities.any() and ((opacities >= 0) & (opacities <= 1)).all():
                 warnings.warn(f"{name}: opacities of 0 to 1 are read as they are, without a sigmoid", stacklevel=4)
             else:
                 opacities = opacities.sigmoid()
