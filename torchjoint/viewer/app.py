@@ -44,7 +44,6 @@ class Viewer:
         self._shown = shown or Shown()
         self._saved = self._shown.edits(result, granularity)  # the corrections as they were read or saved last
         self.model = Model(result, self._saved, up_direction(result.scene).numpy())
-        self._typed = ""  # the last name that came from a page
         self._chooser: Any = None  # the page that chose what is selected; others may still mean something else
         self._lock = FairLock()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
@@ -149,6 +148,7 @@ class Viewer:
         """Builds a new panel, and connects its elements to their actions."""
         panel = self._panel = Panel(self.server.gui, self.model, self._shown, frame, cameras)
         self._query: Tensor | None = None  # the vector of the words that were searched
+        self._named = ""  # what the field of the name has, but for letters that wait for another action
 
         def then(action: Any) -> Any:
             return lambda _: self._guarded(action)
@@ -317,8 +317,8 @@ class Viewer:
 
     def _on_typed(self, event: Any) -> None:
         if event.client is not None:  # else it was drawn, perhaps by an action that letters wait for
-            self._typed = printable(self._panel.name.value)  # a field takes what was pasted
-            self._guarded(self._on_name, self._typed, event.client)
+            name = printable(self._panel.name.value)  # a field takes what was pasted
+            self._guarded(self._on_name, name, event.client)
 
     def _on_name(self, name: str, client: Any) -> None:
         if name != (before := self._selected_name()):
@@ -328,8 +328,9 @@ class Viewer:
             except ValueError:  # only then: after a success the user may have typed on
                 self._panel.name.value = before
                 raise
+            self._named = name
             if self._panel.name.value == before:  # the action that the letters waited for has drawn it
-                self._panel.name.value = self._typed
+                self._panel.name.value = name
             self._draw_lists()
 
     def _selected_name(self) -> str:
@@ -362,8 +363,7 @@ class Viewer:
         if not self._can_save:
             raise ValueError("save: expected the parameters of the result on disk, got others")
         self._save(self.folder)
-        corrections = counted(len(self._saved.steps), "correction")
-        self._say(f"saved with this level: {corrections}, in {self.folder / 'edits.json'}")
+        self._say(f"level saved with {counted(len(self._saved.steps), 'correction')}, in {self.folder / 'edits.json'}")
 
     def _save_what_was_made(self) -> None:
         """Saves each correction as it is made: a closed page or Ctrl-C loses nothing. A level alone is none.
@@ -404,7 +404,8 @@ class Viewer:
         self._cloud.recolor(point_colors(self.model), lit if self._eyes.standing and self.model.selected else None)
         self._cloud.mark(self.model.clicks)
         self._panel.legend.visible = self.model.mode == "confidence"
-        self._panel.name.value = self._selected_name()
+        if (name := self._selected_name()) != self._named:  # else what is typed right now would lose letters
+            self._named = self._panel.name.value = name
         self._draw_lists()
         self._draw_relations()
         if self._has_frames:
