@@ -106,10 +106,10 @@ def test_corrections_are_saved_as_they_are_made(out, tmp_path, monkeypatch):
     viewer.stop()
 
 
-def typed(viewer, text):
+def typed(viewer, text, page=None):
     """As if a page told it."""
     viewer._panel.name._impl.value = text
-    viewer._on_typed(SimpleNamespace(client=object()))
+    viewer._on_typed(SimpleNamespace(client=page or object()))
 
 
 def test_names_of_a_run_are_saved_with_its_result(out, tmp_path):
@@ -137,6 +137,7 @@ def test_what_is_typed_while_a_name_is_saved_stays(out, tmp_path, monkeypatch):
 
 
 def test_what_is_typed_while_another_action_works_stays(out, tmp_path):
+    """Each growth of a live cloud emptied the field, and letters were lost."""
     viewer = opened(shutil.copytree(out, tmp_path / "out"), 8990)
     with ThreadPoolExecutor() as pool, viewer._lock:
         viewer.model.select((int(viewer.model.table[0]),))
@@ -144,7 +145,7 @@ def test_what_is_typed_while_another_action_works_stays(out, tmp_path):
             pool.submit(typed, viewer, text)
             time.sleep(0.1)
         viewer._draw()
-        assert viewer._panel.name.value == ""
+        assert viewer._panel.name.value == "lock"
     assert (viewer._panel.name.value, *viewer.model.names.values()) == ("lock", "lock")
     viewer.stop()
 
@@ -161,6 +162,38 @@ def test_names_go_to_what_was_clicked_before_them(out, tmp_path):
                 time.sleep(0.1)
     viewer.stop()
     assert viewer.model.names == names
+
+
+def test_what_a_page_does_goes_to_no_thing_of_another(out, tmp_path, monkeypatch):
+    """Who typed "arm chair" while another page selected something else had half of it there."""
+    viewer, pages = opened(shutil.copytree(out, tmp_path / "out"), 8990), (object(), object())
+    mine, yours = np.unique(viewer.model.table)[:2].tolist()
+    told = []
+    monkeypatch.setattr(viewer, "_say", lambda text, color="green": told.append(text))
+    viewer._on_event(f"torchjoint:row {viewer.model.key(mine)} 0 1", pages[0])
+    typed(viewer, "arm ", pages[0])
+    viewer._on_event(f"torchjoint:row {viewer.model.key(yours)} 0 2", pages[1])
+    typed(viewer, "arm chair", pages[0])
+    for action in ("Split", "Undo", "Keep"):
+        viewer._guarded(viewer._on_correct, action, pages[0])
+    monkeypatch.setattr(viewer.server, "get_clients", lambda: {0: pages[0]})
+    viewer._on_leave(SimpleNamespace(client_id=1))
+    typed(viewer, "arm chair", pages[0])
+    assert viewer.model.names == {mine: "arm "}
+    assert len(viewer.model.edits.steps) == 1
+    assert len(told) == 5 == sum("another page has chosen" in one for one in told)
+    typed(viewer, "sofa", pages[1])
+    viewer._on_event(f"torchjoint:row {viewer.model.key(mine)} 0 3", pages[0])
+    typed(viewer, "arm chair", pages[0])
+    assert viewer.model.names == {mine: "arm chair", yours: "sofa"}
+    viewer._guarded(viewer._on_level, 0.9, pages[1])  # other segments
+    typed(viewer, "bed", pages[0])
+    assert "bed" not in viewer.model.names.values()
+    monkeypatch.setattr(viewer.server, "get_clients", dict)
+    viewer._on_leave(SimpleNamespace(client_id=0))  # a page that is loaded again
+    typed(viewer, "bed", object())
+    assert "bed" in viewer.model.names.values()
+    viewer.stop()
 
 
 def test_a_lock_is_given_in_the_order_of_those_who_ask():

@@ -467,7 +467,7 @@ def test_reset_view(viewer, page):
     wait(lambda: viewer._eyes._arrived)
     assert np.abs(view() - before).max() > 0.1
     page.get_by_role("button", name="Reset view").click()
-    wait(lambda: not viewer._eyes.stand)  # the page has told where it looks from
+    wait(lambda: not viewer._eyes.standing)  # the page has told where it looks from
     wait(lambda: np.abs(view() - before).max() < 0.01)
 
 
@@ -579,7 +579,7 @@ def test_a_selected_thing_under_the_mouse_is_named(viewer, page):
 def test_the_photo_is_behind_the_points_until_the_view_turns(viewer, page):
     page.get_by_role("button", name="Stand at this camera").click()
     wait(lambda: viewer._eyes._arrived)
-    assert viewer._eyes._standing
+    assert viewer._eyes.standing
     assert viewer._cloud._handles[0].point_size < 0.5 * viewer._cloud._whole[0]
     wait(lambda: (pixels(page)[200:450, 50:530].min(2) > 250).mean() < 0.02)  # no white between the points
     segment = viewer.model.segment_of_key(viewer.model.rows()[0][0].key)
@@ -589,7 +589,7 @@ def test_the_photo_is_behind_the_points_until_the_view_turns(viewer, page):
     page.mouse.down()
     page.mouse.move(500, 360, steps=5)
     page.mouse.up()
-    wait(lambda: not viewer._eyes._standing)
+    wait(lambda: not viewer._eyes.standing)
     wait(lambda: viewer._cloud._handles[0].point_size == viewer._cloud._whole[0])
     everything = len(viewer.result.scene.points)
     wait(lambda: sum(len(handle.points) for handle in viewer._cloud._handles.values()) == everything)

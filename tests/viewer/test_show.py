@@ -215,7 +215,7 @@ def test_without_viser_it_says_what_to_install(run, out, monkeypatch):
 def test_a_page_for_the_network_says_so(run, out, monkeypatch, capsys):
     from torchjoint.viewer.app import Viewer
 
-    monkeypatch.setattr(Viewer, "wait", lambda viewer: viewer.stop())
+    monkeypatch.setattr("torchjoint.cli.show.serve_until_interrupted", lambda viewer: viewer.stop())
     monkeypatch.setattr(Viewer, "_work_behind", lambda viewer: None)
     run("show", out, "--no-open-browser", "--port", 8990)
     assert "--host" not in capsys.readouterr().out
@@ -240,7 +240,8 @@ def test_an_encoder_of_text_is_imported(run, out, tmp_path, monkeypatch):
         run("show", folder, "--text-encoder", "words:encode")
     (tmp_path / "words.py").write_text("def encode(words):\n    return len(words)\n")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(Viewer, "wait", lambda viewer: (found.append(viewer._shown.text_encoder), viewer.stop()))
+    served = "torchjoint.cli.show.serve_until_interrupted"
+    monkeypatch.setattr(served, lambda viewer: (found.append(viewer._shown.text_encoder), viewer.stop()))
     monkeypatch.setattr(Viewer, "_work_behind", lambda viewer: None)
     run("show", folder, "--no-open-browser", "--port", 8995, "--text-encoder", "words:encode")
     assert found[0]("a mug") == 5

@@ -171,7 +171,7 @@ def _text_encoder(name: str, result: Result) -> Callable[[str], Tensor]:
 def serve_until_interrupted(viewer: Viewer) -> None:
     """Serves a page until the program is interrupted."""
     with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
-        viewer.wait()
+        viewer.server.sleep_forever()
 
 
 def _open_page(url: str, in_browser: bool) -> None:

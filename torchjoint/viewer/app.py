@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,7 @@ class Viewer:
         self._shown = shown or Shown()
         self._saved = self._shown.edits(result, granularity)  # the corrections as they were read or saved last
         self.model = Model(result, self._saved, up_direction(result.scene).numpy())
-        self._typed = ""  # the last name that came from a page
+        self._chooser: Any = None  # the page that chose what is selected; others may still mean something else
         self._lock = FairLock()  # viser calls the functions below on several threads
         self._order, self._can_save = "points", True
         self._made = self._saved.steps  # the corrections after the last action
@@ -54,7 +53,7 @@ class Viewer:
         self._eyes = Eyes(self.server, result.scene, self.model.up)
         self._cloud = CloudView(self.server, result.scene.points.numpy(), point_colors(self.model))
         self._relations = RelationLines(self.server)
-        self._cameras: Cameras | None = None
+        self._cameras: Any = None  # where there are frames
         with self._lock:
             self._add_panel()
             self._connect_scene()
@@ -141,10 +140,6 @@ class Viewer:
             return running if self._shown.is_running else "corrections after those in edits.json"
         return f"level {now.granularity}, which Save the level keeps" if now.granularity != kept.granularity else ""
 
-    def wait(self) -> None:
-        """Serves the page until the program is interrupted."""
-        self.server.sleep_forever()
-
     def stop(self) -> None:
         """Ends the page, after what works behind it."""
         self.page.stop()
@@ -153,30 +148,28 @@ class Viewer:
         """Builds a new panel, and connects its elements to their actions."""
         panel = self._panel = Panel(self.server.gui, self.model, self._shown, frame, cameras)
         self._query: Tensor | None = None  # the vector of the words that were searched
+        self._named = ""  # what the field of the name has, but for letters that wait for another action
 
         def then(action: Any) -> Any:
             return lambda _: self._guarded(action)
 
-        def changes(change: Any) -> Any:
-            return lambda _: self._guarded(self._change, change)
-
         # What was clicked is read at once: while another action works, the next click may change it.
         panel.bridge.on_update(lambda event: self._guarded(self._on_event, panel.bridge.value, event.client))
-        panel.mode.on_update(changes(lambda: self.model.color_by(panel.mode.value)))
+        panel.mode.on_update(then(lambda: self._change(lambda: self.model.color_by(panel.mode.value))))
         panel.name.on_update(self._on_typed)
         panel.relations.on_update(then(self._draw_relations))
         panel.search.on_update(then(self._draw_table))
-        panel.find.on_click(then(self._on_find))
-        panel.correct.on_click(lambda _: self._guarded(self._change, partial(self._on_correct, panel.correct.value)))
+        panel.find.on_click(lambda event: self._guarded(self._on_find, event.client))
+        panel.correct.on_click(lambda event: self._guarded(self._on_correct, panel.correct.value, event.client))
         panel.by_clicks.on_update(lambda _: setattr(panel.keep, "visible", panel.by_clicks.value and bool(self.folder)))
-        panel.keep.on_click(changes(lambda: self.model.keep()))
+        panel.keep.on_click(lambda event: self._guarded(self._on_correct, "Keep", event.client))
         panel.export.on_click(lambda event: self._guarded(self._on_export, panel.export.value, event.client))
         panel.save.on_click(then(self._on_save))
         panel.view.on_click(lambda event: self._guarded(self._on_view, panel.view.value, event.client))
         panel.size.on_update(then(lambda: self._cloud.resize(panel.size.value)))
         panel.front.on_update(then(lambda: self._eyes.cut_front(panel.front.value)))
         if panel.level is not None:
-            panel.level.on_update(changes(lambda: self.model.set_granularity(panel.level.value)))
+            panel.level.on_update(lambda event: self._guarded(self._on_level, panel.level.value, event.client))
         if panel.parameters:
             panel.compute.on_click(then(self._on_parameters))
         if self._has_frames:
@@ -224,6 +217,8 @@ class Viewer:
 
     def _on_event(self, event: str, client: Any) -> None:
         kind, *values = event.removeprefix(PREFIX).split()[:-1] or [""]  # the last word is the time
+        if kind in ("row", "image"):
+            self._chooser = client
         if kind == "sort" and values[0] in COLUMNS:
             self._order = values[0]
             self._draw_table()
@@ -244,6 +239,7 @@ class Viewer:
             self._on_point(None if superpoint < 0 else self.model.parts.middle(superpoint), values[2] == "1")
 
     def _on_ray(self, event: Any, more: bool) -> None:
+        self._chooser = event.client
         ray = np.array(event.ray_origin), np.array(event.ray_direction)
         self._on_point(pick_point(self.result.scene.points.numpy(), *ray, 0.5 * self._cloud.size), more)
 
@@ -272,6 +268,8 @@ class Viewer:
         self._cloud.look_from(client.camera.position)
 
     def _on_leave(self, client: Any) -> None:
+        if not self.server.get_clients():
+            self._chooser = None  # the next page is the same one, loaded again
         if self._eyes.forget(client):
             self._draw()
 
@@ -279,6 +277,11 @@ class Viewer:
         """Changes the model, and draws what it is now."""
         change()
         self._draw()
+
+    def _check(self, client: Any) -> None:
+        """Raises if what is selected was chosen by another page: this one may still mean what was selected before."""
+        if self._chooser not in (None, client):
+            raise ValueError("another page has chosen what is selected: select here what you mean, and try again")
 
     def _choose(self, segment: int | None, more: bool) -> None:
         """Selects a segment; with shift, adds it to the selection or removes it. None clears the selection."""
@@ -310,42 +313,49 @@ class Viewer:
 
     def _on_frame(self) -> None:
         self._draw_image()
-        if self._cameras is not None:
-            self._cameras.mark(self._frame_index())
+        self._cameras.mark(self._frame_index())
 
     def _on_typed(self, event: Any) -> None:
         if event.client is not None:  # else it was drawn, perhaps by an action that letters wait for
-            self._typed = printable(self._panel.name.value)  # a field takes what was pasted
-            self._guarded(self._on_name, self._typed)
+            name = printable(self._panel.name.value)  # a field takes what was pasted
+            self._guarded(self._on_name, name, event.client)
 
-    def _on_name(self, name: str) -> None:
+    def _on_name(self, name: str, client: Any) -> None:
         if name != (before := self._selected_name()):
             try:
+                self._check(client)
                 self.model.name(name)
             except ValueError:  # only then: after a success the user may have typed on
                 self._panel.name.value = before
                 raise
+            self._named = name
             if self._panel.name.value == before:  # the action that the letters waited for has drawn it
-                self._panel.name.value = self._typed
+                self._panel.name.value = name
             self._draw_lists()
 
     def _selected_name(self) -> str:
         selected = self.model.selected
         return self.model.names.get(selected[0], "") if len(selected) == 1 else ""
 
-    def _on_correct(self, action: str) -> None:
+    def _on_correct(self, action: str, client: Any) -> None:
+        self._check(client)
         if action == "Undo" and self.model.clicks:
             self.model.unclick()
         elif action == "Undo":
             self._say(f"undone: {self.model.undo() or 'nothing is left to undo'}", "blue")
         else:
-            self.model.join() if action == "Join" else self.model.split()
+            {"Join": self.model.join, "Split": self.model.split, "Keep": self.model.keep}[action]()
+        self._draw()
 
-    def _on_find(self) -> None:
+    def _on_level(self, level: float, client: Any) -> None:
+        self._chooser = client
+        self._change(lambda: self.model.set_granularity(level))
+
+    def _on_find(self, client: Any) -> None:
         assert self._shown.text_encoder is not None  # without it there is no button
         query = self._shown.text_encoder(self._panel.words.value)
         best = self.model.find(query, 1)  # raises before the list is made of it
-        self._query = query
+        self._query, self._chooser = query, client
         self._select(tuple(segment for segment, _ in best))
 
     def _on_save(self) -> None:
@@ -353,8 +363,7 @@ class Viewer:
         if not self._can_save:
             raise ValueError("save: expected the parameters of the result on disk, got others")
         self._save(self.folder)
-        corrections = counted(len(self._saved.steps), "correction")
-        self._say(f"saved with this level: {corrections}, in {self.folder / 'edits.json'}")
+        self._say(f"level saved with {counted(len(self._saved.steps), 'correction')}, in {self.folder / 'edits.json'}")
 
     def _save_what_was_made(self) -> None:
         """Saves each correction as it is made: a closed page or Ctrl-C loses nothing. A level alone is none.
@@ -391,11 +400,12 @@ class Viewer:
         self._cloud.unlight()
         lit = np.isin(self.model.table, self.model.selected)[self.model.parts.of_point]
         # A photo is seen between the points, and only the selected ones are before it.
-        self._cloud.resize((0.24 if self._eyes.stand else 1.0) * self._panel.size.value)
-        self._cloud.recolor(point_colors(self.model), lit if self._eyes.stand and self.model.selected else None)
+        self._cloud.resize((0.24 if self._eyes.standing else 1.0) * self._panel.size.value)
+        self._cloud.recolor(point_colors(self.model), lit if self._eyes.standing and self.model.selected else None)
         self._cloud.mark(self.model.clicks)
         self._panel.legend.visible = self.model.mode == "confidence"
-        self._panel.name.value = self._selected_name()
+        if (name := self._selected_name()) != self._named:  # else what is typed right now would lose letters
+            self._named = self._panel.name.value = name
         self._draw_lists()
         self._draw_relations()
         if self._has_frames:

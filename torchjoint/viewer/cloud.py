@@ -129,9 +129,8 @@ class CloudView:
 
     def unlight(self) -> None:
         """Takes back what :meth:`light` drew."""
-        for handle in self._lit:
-            handle.remove()
-        self._lit = []
+        while self._lit:
+            self._lit.pop().remove()
 
     def recolor(self, colors: Bytes, drawn: npt.NDArray[np.bool_] | None = None) -> None:
         """Changes the colours; those of hidden blocks change when the blocks are shown. `drawn`: [N]; None: all."""

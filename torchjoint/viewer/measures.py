@@ -62,9 +62,8 @@ class Measures:
         """Counts the pixels of each superpoint in all frames, unless it is stopped; before that, no frame is listed."""
 
         def count(index: int) -> tuple[Table, Table]:
-            if is_stopped():
-                return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-            superpoints, pixels = np.unique(self._parts.image(index), return_counts=True)
+            image = np.empty(0, dtype=np.int64) if is_stopped() else self._parts.image(index)
+            superpoints, pixels = np.unique(image, return_counts=True)
             return superpoints[superpoints >= 0], pixels[superpoints >= 0]
 
         self._frames = parallel_map(count, range(len(self._parts.result.images)))
@@ -72,11 +71,9 @@ class Measures:
 
     def frames_of(self, segment: int) -> list[tuple[int, int]]:
         """(frame, pixels) of the frames that see a segment, most pixels first."""
-        found = []
-        for index, (superpoints, pixels) in enumerate(self._frames or []):
-            if of_segment := int(pixels[self._table[superpoints] == segment].sum()):
-                found.append((index, of_segment))
-        return sorted(found, key=lambda one: (-one[1], one[0]))
+        frames = enumerate(self._frames or [])
+        found = [(index, int(pixels[self._table[seen] == segment].sum())) for index, (seen, pixels) in frames]
+        return sorted((one for one in found if one[1]), key=lambda one: (-one[1], one[0]))
 
     def row(self, segment: int, name: str) -> Row:
         """Measures one segment."""

@@ -87,8 +87,6 @@ def _confidence_colors(model: Model) -> torch.Tensor:
 
 
 COLORS = {"stands on": (20, 140, 50), "hangs on": (230, 130, 0), "contains": (40, 90, 230), "touches": (120, 120, 120)}
-#: Pixels.
-THICKNESS = 4.0
 
 
 class RelationLines:
@@ -119,7 +117,7 @@ class RelationLines:
         if len(ends):
             origin = middle_of(ends)
             self._handle = self._server.scene.add_line_segments(
-                "/relations", ends - origin, colors, position=origin, thickness=THICKNESS, thickness_units="screen"
+                "/relations", ends - origin, colors, position=origin, thickness=4.0, thickness_units="screen"
             )
 
 

@@ -50,7 +50,13 @@ class Panel:
             self.several = gui.add_checkbox("Select several", False, hint="each click adds one, as with shift")
             self.by_clicks = gui.add_checkbox("Thing from clicks", False, visible=self.level is not None, hint=CLICKS)
             self.keep = gui.add_button("Make it one thing", visible=False, hint="a segment of its own, at every level")
-            self._add_buttons(gui, shown, ("PLY", "PNG", "COCO") if len(model.result.scene.frames) else ("PLY",))
+            can_save = shown.folder is not None
+            hint = "of the selected segment; the result will have it" if shown.is_running else "of the selected segment"
+            self.name = gui.add_text("Name", "", hint=hint, visible=can_save or shown.is_running)
+            self.correct = gui.add_button_group("Correct", ("Join", "Split", "Undo"), visible=can_save, hint=CORRECT)
+            kinds = ("PLY", "PNG", "COCO") if len(model.result.scene.frames) else ("PLY",)
+            self.export = gui.add_button_group("Export", kinds, hint=EXPORT)
+            self.save = gui.add_button("Save the level", visible=can_save, hint=SAVE)
             self.relations = gui.add_checkbox("Relations", False, visible=not shown.is_running, hint=RELATIONS)
         pane = gui.add_panel()  # of its own: it is in view, whatever the panel above shows
         pane.dock_below(gui.main_panel)
@@ -82,11 +88,3 @@ class Panel:
         self.opacity = gui.add_slider("Labels", **SHARE, step=0.05, initial_value=0.5, hint=hint)
         self.stand = gui.add_button("Stand at this camera", color="gray")
         self.cameras = gui.add_checkbox("Cameras", cameras, hint="draw them in the cloud")
-
-    def _add_buttons(self, gui: Any, shown: Shown, kinds: tuple[str, ...]) -> None:
-        can_save = shown.folder is not None
-        hint = "of the selected segment; the result will have it" if shown.is_running else "of the selected segment"
-        self.name = gui.add_text("Name", "", hint=hint, visible=can_save or shown.is_running)
-        self.correct = gui.add_button_group("Correct", ("Join", "Split", "Undo"), visible=can_save, hint=CORRECT)
-        self.export = gui.add_button_group("Export", kinds, hint=EXPORT)
-        self.save = gui.add_button("Save the level", visible=can_save, hint=SAVE)

@@ -114,6 +114,7 @@ class Eyes:
 
     Attributes:
         distance: between the viewer and the scene's centre in the first view, metres.
+        standing: orientations of the pages that stand at a camera.
     """
 
     def __init__(self, server: Any, scene: Scene, up: npt.NDArray[np.float64]) -> None:
@@ -124,7 +125,7 @@ class Eyes:
         first.near = max(0.01, self.distance / 5000)  # depths have few bits, and are shaded by their differences
         self._near = first.near
         self._fitted: dict[int, tuple[Any, float]] = {}  # where a page saw the whole cloud, and its aspect
-        self._standing: dict[int, Any] = {}  # orientations of pages that stand at a camera
+        self.standing: dict[int, Any] = {}
         self._arrived: set[int] = set()  # those of them that have it
 
     def show_all(self, client: Any, scene: Scene) -> None:
@@ -150,33 +151,28 @@ class Eyes:
         with client.atomic():
             client.camera.wxyz, client.camera.position, client.camera.fov = view.wxyz, view.position, fov
         client.scene.set_background_image(behind(photo, aspect, is_dark))
-        self._standing[client.client_id] = view.wxyz
+        self.standing[client.client_id] = view.wxyz
         self._arrived.discard(client.client_id)
-
-    @property
-    def stand(self) -> bool:
-        """Whether a page stands at a camera."""
-        return bool(self._standing)
 
     def forget(self, client: Any) -> bool:
         """Forgets a page that was closed; whether it stood at a camera."""
         self._fitted.pop(client.client_id, None)
         self._arrived.discard(client.client_id)
-        return self._standing.pop(client.client_id, None) is not None
+        return self.standing.pop(client.client_id, None) is not None
 
     def follow(self, client: Any, scene: Scene) -> bool:
         """Takes note of where a page looks from now; whether it has left the photo at which it stood."""
         fitted_at, aspect = self._fitted.get(client.client_id, (client.camera.position, 0.0))
         places = np.stack([fitted_at, self._server.initial_camera.position])
         is_fitted, is_new = np.abs(places - client.camera.position).max(1) < 1e-3 * self.distance
-        stands = self._standing.get(client.client_id)
+        stands = self.standing.get(client.client_id)
         # Nobody has turned it; a page may go to the first view of all pages after it was told its own.
         if stands is None and (is_new or (is_fitted and aspect != client.camera.aspect)):
             self.show_all(client, scene)
         if stands is not None and abs(stands @ client.camera.wxyz) > 0.9999:
             self._arrived.add(client.client_id)  # before that, a page may still tell where it was
         elif stands is not None and client.client_id in self._arrived:
-            del self._standing[client.client_id]
+            del self.standing[client.client_id]
             client.scene.set_background_image(None)
             return True
         return False

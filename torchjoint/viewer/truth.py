@@ -122,11 +122,8 @@ def _labels(path: Path) -> npt.NDArray[Any] | None:
         return text_clouds.read_column(path, NAMES)
     if suffix in SUFFIXES:
         with open_las(path) as reader:
-            found = [one.name for one in reader.header.point_format.extra_dimensions if _has_labels(one)]
+            own = reader.header.point_format.extra_dimensions
+            found = [one.name for one in own if one.name in NAMES or (one.description, one.dtype) == (ORIGIN, np.int32)]
             chunks = [np.asarray(chunk[found[-1]]) for chunk in las_chunks(reader, path)] if found else []
         return np.concatenate(chunks) if chunks else None
     return read_vertex_property(path, *NAMES) if suffix == ".ply" else None
-
-
-def _has_labels(dimension: Any) -> bool:
-    return dimension.name in NAMES or (dimension.description == ORIGIN and dimension.dtype == np.int32)
