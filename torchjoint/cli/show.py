@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import os
 import tempfile
 import webbrowser
 from collections.abc import Callable
@@ -84,7 +83,9 @@ def show(
     if truth and folder is None:
         raise ValueError("--truth: expected a result's folder, got a cloud with labels")
     shown = None if page is not None else _page(f"reading {out} ...", host, port, open_browser)
-    result = read_labelled_cloud(out) if folder is None else _read(folder, truth)
+    result = read_labelled_cloud(out) if folder is None else load_result(folder, edits=False)
+    if truth:
+        result = with_truth(result, _scene_of(out))
     if up is not None:
         result = replace(result, scene=replace(result.scene, up=as_direction(torch.tensor(up), "--up")))
     if granularity is not None and result.hierarchy is None:
@@ -124,11 +125,6 @@ def show_result(out: Path, view: LiveView | None, segmenter: JointSegmenter, sce
     from torchjoint.viewer.shown import LiveRun
 
     serve_until_interrupted(view.finish(out, LiveRun(segmenter, scene)))
-
-
-def _read(out: Path, truth: bool) -> Result:
-    result = load_result(out, edits=False)
-    return with_truth(result, _scene_of(out)) if truth else result
 
 
 def _scene_of(out: Path) -> Scene:
@@ -185,8 +181,7 @@ def _redirect(url: str) -> Path:
 
     The list of processes, which everybody can read, shows what the browser was called with.
     """
-    descriptor, name = tempfile.mkstemp(prefix="torchjoint-", suffix=".html")  # of mode 0600
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+    with tempfile.NamedTemporaryFile("w", prefix="torchjoint-", suffix=".html", delete=False, encoding="utf-8") as file:
         file.write(f'<meta charset="utf-8"><meta http-equiv="refresh" content="0; url={escape(url)}">\n')
-    atexit.register(lambda: Path(name).unlink(missing_ok=True))
-    return Path(name)
+    atexit.register(Path(file.name).unlink, missing_ok=True)
+    return Path(file.name)

@@ -232,12 +232,8 @@ def image_views(labels: Tensor, num_segments: int) -> list[tuple[int, int, tuple
     """The segments in a label image [H, W] with ids below `num_segments`: (id, number of pixels, box x y w h)."""
     shown = torch.where(labels < num_segments, labels, -1).to(torch.int32).numpy() + 1
     counts = np.bincount(shown.ravel(), minlength=num_segments + 1)
-    found = []
-    for number, place in enumerate(find_objects(shown)):
-        if place is not None:
-            (top, bottom), (left, right) = ((one.start, one.stop) for one in place)
-            found.append((number, int(counts[number + 1]), (left, top, right - left, bottom - top)))
-    return found
+    found = [(i, *place) for i, place in enumerate(find_objects(shown)) if place is not None]
+    return [(i, int(counts[i + 1]), (x.start, y.start, x.stop - x.start, y.stop - y.start)) for i, y, x in found]
 
 
 def _views(result: Segmentation) -> list[list[SegmentView]]:

@@ -84,11 +84,9 @@ def associate(first: Sequence[float], second: Sequence[float], tolerance: float 
     """
     candidates = []
     for i, place in enumerate(np.searchsorted(second, first)):
-        for j in range(max(int(place) - 4, 0), min(int(place) + 4, len(second))):
-            difference = abs(first[i] - second[j])
-            if difference <= tolerance:
-                candidates.append((difference, i, j))
-    return sorted(each_once((i, j) for _, i, j in sorted(candidates)).items())
+        near = range(max(int(place) - 4, 0), min(int(place) + 4, len(second)))
+        candidates += [(abs(first[i] - second[j]), i, j) for j in near]
+    return sorted(each_once((i, j) for apart, i, j in sorted(candidates) if apart <= tolerance).items())
 
 
 def _read_files(path: Path) -> list[tuple[float, Path]]:
