@@ -78,6 +78,7 @@ class Engine:
         slots: returns how many tasks can run at once; at least 1 if none is running.
         threads: threads of one task.
         on_machine: how many tasks a machine runs at a time; None: unknown, so as many as its cores allow.
+        dashboard: address of a page for the browser, if there is one.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Engine:
     slots: Callable[[], int]
     threads: int = 1
     on_machine: int | None = None
+    dashboard: str | None = None
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T], *, in_order: bool = False) -> Iterator[Outcome[R]]:
         """Yields the outcome of ``function(task)`` for each task.

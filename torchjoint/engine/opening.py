@@ -170,7 +170,7 @@ def _dask(closing: ExitStack, name: str, threads: int, workers: int | None, addr
     def slots() -> int:
         return sum(max(1, count // each) for count in _threads_of_workers(client, name).values())
 
-    return Engine(name, client.get_executor(pure=False), slots, threads, workers)
+    return Engine(name, client.get_executor(pure=False), slots, threads, workers, client.dashboard_link)
 
 
 def _threads_of_workers(client: Any, name: str) -> dict[str, int]:

@@ -122,10 +122,9 @@ def polygon_pixels(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> n
     """
     window = Window(corners, size)
     strip, end = max(1, _STRIP // max(1, window.size[1])), window.row + window.size[0]
-    pixels = [np.empty(0, np.int64)]
-    for row in range(window.row, end, strip):
-        pixels.append(_strip_pixels(corners, window, row, min(strip, end - row)) + row * size[1])
-    return np.concatenate(pixels)
+    rows = range(window.row, end, strip)
+    pixels = [_strip_pixels(corners, window, row, min(strip, end - row)) + row * size[1] for row in rows]
+    return np.concatenate([np.empty(0, np.int64), *pixels])
 
 
 def work_of(corners: npt.NDArray[np.float64], size: tuple[int, int]) -> tuple[int, int]:
