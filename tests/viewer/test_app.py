@@ -176,8 +176,9 @@ def test_what_a_page_does_goes_to_no_thing_of_another(out, tmp_path, monkeypatch
     typed(viewer, "arm chair", pages[0])
     for action in ("Split", "Undo", "Keep"):
         viewer._guarded(viewer._on_correct, action, pages[0])
-    monkeypatch.setattr(viewer.server, "get_clients", lambda: {0: pages[0]})
-    viewer._on_leave(SimpleNamespace(client_id=1))
+    leave, clients = viewer.server._client_disconnect_cb[-1], [{0: pages[0]}]
+    monkeypatch.setattr(viewer.server, "get_clients", lambda: clients[0])
+    leave(SimpleNamespace(client_id=1))
     typed(viewer, "arm chair", pages[0])
     assert viewer.model.names == {mine: "arm "}
     assert len(viewer.model.edits.steps) == 1
@@ -189,8 +190,11 @@ def test_what_a_page_does_goes_to_no_thing_of_another(out, tmp_path, monkeypatch
     viewer._guarded(viewer._on_level, 0.9, pages[1])  # other segments
     typed(viewer, "bed", pages[0])
     assert "bed" not in viewer.model.names.values()
-    monkeypatch.setattr(viewer.server, "get_clients", dict)
-    viewer._on_leave(SimpleNamespace(client_id=0))  # a page that is loaded again
+    with ThreadPoolExecutor() as pool, viewer._lock:  # a page that is loaded again while an action works
+        clients[0] = {}
+        pool.submit(leave, SimpleNamespace(client_id=0))
+        time.sleep(0.1)
+        clients[0] = {1: object()}
     typed(viewer, "bed", object())
     assert "bed" in viewer.model.names.values()
     viewer.stop()

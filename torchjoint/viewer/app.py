@@ -191,7 +191,7 @@ class Viewer:
             client.camera.on_update(lambda _: self._guarded(self._on_camera, client))
             self._guarded(self._on_camera, client)  # the first camera is told before this
 
-        self.server.on_client_disconnect(lambda client: self._guarded(self._on_leave, client))
+        self.server.on_client_disconnect(lambda one: self._guarded(self._on_leave, one, self.server.get_clients()))
 
     # Reactions to events
 
@@ -267,9 +267,9 @@ class Viewer:
             self._draw()
         self._cloud.look_from(client.camera.position)
 
-    def _on_leave(self, client: Any) -> None:
-        if not self.server.get_clients():
-            self._chooser = None  # the next page is the same one, loaded again
+    def _on_leave(self, client: Any, others: Any) -> None:
+        if not others:  # then: the next page is the same one, loaded again, perhaps while another action worked
+            self._chooser = None
         if self._eyes.forget(client):
             self._draw()
 
