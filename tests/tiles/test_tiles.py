@@ -387,6 +387,9 @@ def test_the_command(cloud, tmp_path, run, capsys):
         run("superpoints", tmp_path / "out.laz", "-o", tmp_path / "other.laz")
     with pytest.raises(SystemExit, match=r"--tile: expected a \.las or \.laz cloud and result"):
         run("superpoints", cloud, "-o", tmp_path / "out.npy", "--tile", 8)
+    for unread in (("--viewpoint", 0, 0, 9), ("--columns", "xyz"), ("--set", "scale=2", "convex_factor=0.5")):
+        with pytest.raises(SystemExit, match="expected no --viewpoint, --columns or convex_factor in tiles"):
+            run("superpoints", cloud, "-o", tmp_path / "other.laz", *unread)
     assert {file.name for file in tmp_path.iterdir()} == {"out.laz"}
 
 

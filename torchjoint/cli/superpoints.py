@@ -75,8 +75,8 @@ def superpoints(
     """
     config = SuperpointsConfig.from_preset(preset).set(set)
     if is_las(cloud) and (out is None or cloud.is_dir() or out.suffix.lower() in SUFFIXES):
-        if viewpoint is not None or columns is not None:
-            raise ValueError(f"{cloud}: expected no --viewpoint or --columns for .las and .laz in tiles; or write .ply")
+        if viewpoint is not None or columns is not None or "convex_factor" in dict(map(read_assignment, set)):
+            raise ValueError(f"{cloud}: expected no --viewpoint, --columns or convex_factor in tiles; or write .ply")
         out = out or Path(f"{cloud.stem}-superpoints{'' if cloud.is_dir() else '.laz'}")
         in_tiles = partial(superpoints_of_files, engine=engine or "loky", progress=sys.stderr.isatty())
         cut = in_tiles(cloud, out, tile=tile, buffer=buffer, preset=config, overwrite=overwrite)
