@@ -98,6 +98,16 @@ class TestFields:
         colors = read_cloud_file(write_pcd(tmp_path / "c.pcd", XYZ | {"rgb": packed}, data="ascii")).colors
         torch.testing.assert_close(colors, torch.tensor([[64, 64, 64], [0, 255, 128], [0, 0, 0]]) / 255)
 
+    def test_floats_of_pcl_are_32_bits_in_text(self, tmp_path):
+        """PCL writes rgb of TYPE F as the whole number of its bits, whose upper eight are 255."""
+        path = write_pcd(tmp_path / "c.pcd", XYZ | {"rgb": np.array([1, 2, 3], dtype=np.float32)}, data="ascii")
+        head, rows = path.read_text().split("ascii\n")
+        opaque = (0xFFFF8001, 0xFF010203, 0xFF000000)
+        rows = [f"{row.rpartition(' ')[0]} {packed}\n" for row, packed in zip(rows.splitlines(), opaque, strict=True)]
+        path.write_text(f"{head}ascii\n{''.join(rows)}")
+        colors = read_cloud_file(path).colors
+        torch.testing.assert_close(colors, torch.tensor([[255, 128, 1], [1, 2, 3], [0, 0, 0]]) / 255)
+
     def test_normals(self, tmp_path):
         fields = XYZ | {f"normal_{axis}": np.full(3, axis == "y", dtype=np.float32) for axis in "xyz"}
         cloud = read_cloud_file(write_pcd(tmp_path / "c.pcd", fields))
