@@ -46,6 +46,17 @@ def test_the_format_is_detected(name, tmp_path):
     )
 
 
+@pytest.mark.filterwarnings(f"ignore:{TOLD}")
+@pytest.mark.filterwarnings("ignore:.*(not in metadata.yaml|are no CLASS_N.txt)")
+@pytest.mark.parametrize("name", samples.FORMATS)
+def test_files_that_macos_adds_are_no_frames(name, tmp_path):
+    path = samples.write(name, tmp_path / "sample")
+    names = [frame.name for frame in _read_all(path).frames]
+    for file in sorted((tmp_path / "sample").rglob("*")):
+        file.with_name(f"._{file.name}").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X")
+    assert [frame.name for frame in _read_all(path).frames] == names
+
+
 @pytest.mark.parametrize("name", samples.FORMATS)
 def test_damaged_files_give_clear_errors(name, tmp_path):
     path = samples.write(name, tmp_path / "sample")

@@ -199,8 +199,8 @@ def tell_not_read(folder: Path, like: str, what: str) -> None:
 
 
 def sorted_images(folder: Path, files: Iterable[Path]) -> list[Path]:
-    """Images of a folder, sorted by name, numbers in it by their values: 2 before 10; each frame has one."""
-    stems = [(file.stem.removesuffix(".color"), file) for file in files]
+    """Images of a folder, sorted by name, 2 before 10; each frame has one. Hidden files (macOS: ._NAME) are none."""
+    stems = [(file.stem.removesuffix(".color"), file) for file in files if file.name[0] != "."]
     no_twice((stem for stem, _ in stems), f"{folder}: the colour image of frame")
     return [file for _, file in sorted(stems, key=lambda one: _words_and_numbers(one[0]))]
 

@@ -84,7 +84,7 @@ def test_scan_and_image_are_the_same_scene(scan, monkeypatch):
 
 def test_scenes(scan):
     root = scan.parent.parent
-    for name in ("000003", "000010"):
+    for name in ("000003", "000010", "._000007"):
         (scan.parent / f"{name}.bin").write_bytes(scan.read_bytes())
     expected = {name: root / "velodyne" / f"{name}.bin" for name in ("000003", "000007", "000010")}
     for folder in (root, root.parent):

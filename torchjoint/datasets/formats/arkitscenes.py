@@ -51,11 +51,11 @@ def _frames_folder(path: Path) -> Path:
 
 
 def _read_frames(folder: Path) -> LazySequence[Frame]:
-    files = [(file.stem.rpartition("_")[2], file) for file in (folder / IMAGES).glob("*.png")]
+    files = [(file.stem.rpartition("_")[2], file) for file in (folder / IMAGES).glob("[!.]*.png")]
     images = sorted((parse_numbers([time], f"{file}: time in the name")[0], file) for time, file in files)
     poses = _read_poses(folder / TRAJECTORY, [time for time, _ in images])
     cameras = {file: _near(folder / CAMERAS, file.stem, ".pincam") for _, file in images}
-    tell_lost(str(folder), (folder / CAMERAS).glob("*.pincam"), cameras.values())
+    tell_lost(str(folder), (folder / CAMERAS).glob("[!.]*.pincam"), cameras.values())
     shots = [
         Shot(file, _camera(cameras[file]), invert_pose(pose), file.stem, _near(folder / DEPTHS, file.stem, ".png"))
         for (_, file), pose in posed(list(zip(images, poses, strict=True)), str(folder), TRAJECTORY, TOLERANCE)

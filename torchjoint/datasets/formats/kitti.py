@@ -39,7 +39,7 @@ def recognizes(path: Path) -> bool:
 def scenes(path: Path) -> dict[str, Path]:
     """Returns the LiDAR scans of training/, of testing/, or of the folder that holds training/."""
     root = path if _is_root(path) else path / "training"
-    return {file.stem: file for file in sorted((root / "velodyne").glob("*.bin"))} if _is_root(root) else {}
+    return {file.stem: file for file in sorted((root / "velodyne").glob("[!.]*.bin"))} if _is_root(root) else {}
 
 
 def load(path: Path, options: Options) -> Scene:

@@ -42,7 +42,7 @@ def load(path: Path, options: Options) -> Scene:
     files = sorted_images(images, images.glob("*.jpg"))
     if not files:
         raise ValueError(f"{images}: expected images, .jpg, got none")
-    tell_lost(str(path), (file.stem for file in cameras.glob("*.json")), [file.stem for file in files])
+    tell_lost(str(path), (file.stem for file in cameras.glob("[!.]*.json")), [file.stem for file in files])
     shots = [_shot(file, read_record(cameras / f"{file.stem}.json", "a camera of Polycam"), folder) for file in files]
     return scene_of_frames(path, read_shots(shots), options)
 

@@ -32,7 +32,7 @@ def recognizes(path: Path) -> bool:
 
 def load(path: Path, options: Options) -> Scene:
     colors = _colors(path)
-    tell_lost(str(path), map(_name, path.glob("*-meta.mat")), [_name(file) for file in colors])
+    tell_lost(str(path), map(_name, path.glob("[!.]*-meta.mat")), [_name(file) for file in colors])
     images = label_images([_beside(file, "label.png") for file in colors], "labels", colors)
     return scene_of_frames(path, read_shots([_shot(file) for file in colors]), options, images=images)
 
