@@ -99,6 +99,21 @@ def test_depth_of_another_frame_is_told(is_chosen, tmp_path):
     assert (frames[0].depth is not None) == is_chosen
 
 
+@pytest.mark.parametrize("is_chosen", [False, True])
+def test_grey_of_16_bits_may_be_infrared(is_chosen, tmp_path):
+    """By REP 118 depth is 16UC1 or 32FC1, but some drivers say mono16."""
+    messages = list(ros.messages())
+    for topic, _, message in messages:
+        if topic == "/camera/aligned_depth":
+            message.encoding = "mono16"
+    bag, topics = ros.record(tmp_path / "bag", messages), {"depth": "/camera/aligned_depth"} if is_chosen else {}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        frames = tj.load_scene(bag, topics=topics, fuse=False).frames
+    assert ["mono16, taken as depth in millimetres" in str(one.message) for one in caught] == [True] * (not is_chosen)
+    assert frames[0].depth.unique().tolist() == [2]
+
+
 def test_ambiguous_topics_are_chosen(tmp_path):
     messages = list(ros.messages())
     other = [("/rear/image_raw", time, message) for topic, time, message in messages if topic == "/camera/image_raw"]

@@ -82,8 +82,7 @@ def _camera(file: Path) -> Camera:
     rows = read_rows(file, "width height fx fy cx cy", 6)
     if len(rows) != 1:
         raise ValueError(f"{file}: expected one line of width height fx fy cx cy, got {len(rows)}")
-    width, height, *numbers = rows[0][1]
-    return pinhole([*numbers, width, height], str(file))
+    return pinhole([*rows[0][1][2:], *rows[0][1][:2]], str(file))
 
 
 def _instances(file: Path, points: Tensor) -> Tensor | None:

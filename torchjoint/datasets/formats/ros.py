@@ -88,8 +88,7 @@ def load(path: Path, options: Options) -> Scene:
 
 
 def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> _Topics:
-    unknown = [role for role in chosen if role not in ROLES]
-    if unknown:
+    if unknown := [role for role in chosen if role not in ROLES]:
         raise ValueError(f"topics: expected some of {', '.join(ROLES)}, got {', '.join(unknown)}")
     for role, topic in chosen.items():
         if topic not in bag.kinds and (role, topic) != ("odometry", STILL):
@@ -112,6 +111,8 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
     for topic in (one for one in depths if _frame(heads[one]) != frame and depth in (None, one)):
         told = f"depth of frame {_frame(heads[topic])!r}, not of the images' {frame!r}: register it to {color}"
         warnings.warn(f"{bag.path}: {topic}: {told}; --topics depth={topic} takes it as registered", stacklevel=3)
+    if depth is not None and "depth" not in chosen and getattr(heads[depth], "encoding", "") == "mono16":
+        warnings.warn(f"{bag.path}: {depth}: mono16, taken as depth in millimetres: not infrared?", stacklevel=3)
     points = _only("points", bag.topics(POINTS) if depth is None else (), chosen, bag)
     best = next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
     if poses.moves(frame):  # perhaps only on a robot, which tf does not move
