@@ -262,11 +262,11 @@ def test_more_columns_than_colours(tmp_path, suffix):
         np.save(path, rows) if suffix == ".npy" else np.savetxt(path, rows)
         return tj.load_scene(path)
 
-    with pytest.warns(UserWarning, match=r"room\.\w+: of 7 columns, the first 6 are read, x y z and colours; the rest"):
+    with pytest.warns(UserWarning, match=r"room\.\w+: of 7 columns, the first 6 are known, x y z r g b; the rest"):
         scene = load(rows)
     assert np.allclose(scene.colors.numpy(), rows[:, 3:6] / 255, atol=1e-6)
     rows[:, 3:6] = -0.5
-    with pytest.warns(UserWarning, match="of 7 columns, the first 3 are read, x y z; the rest is left out"):
+    with pytest.warns(UserWarning, match="of 7 columns, the first 3 are known, x y z; the rest is left out"):
         assert load(rows).colors is None
 
 

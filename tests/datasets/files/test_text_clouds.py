@@ -1,7 +1,5 @@
 """Clouds as text: what can be read without guessing is read; what cannot, is told with file, line and remedy."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -206,12 +204,30 @@ def test_rows_that_end_with_a_semicolon_get_no_empty_column(tmp_path, names):
     assert text_clouds.with_column(tmp_path / "b.csv", "label", [5, 6]) == b"0;0;0;1;5\n1;1;1;;6\n"
 
 
-def test_a_label_behind_six_columns_of_a_pts(tmp_path):
-    """Its seven columns would be x y z, an intensity, and other colours."""
-    (tmp_path / "a.pts").write_text("2\n0 0 0 10 20 30\n1 1 1 11 20 30\n")
-    with pytest.raises(ValueError, match=r"7 columns of a \.pts are x y z intensity r g b; give -o NAME\.xyz"):
-        text_clouds.with_column(tmp_path / "a.pts", "label", [5, 6])
-    assert text_clouds.with_column(tmp_path / "a.pts", "label", [5, 6], Path("b.xyz")).endswith(b"1 1 1 11 20 30 6\n")
+@pytest.mark.parametrize(
+    ("file", "out", "then"),
+    [
+        ("a.pts", "a.pts", "intensity r g b"),
+        ("counted.xyz", "b.xyz", "intensity r g b"),
+        ("two_more.xyz", "b.txt", "r g b"),
+        ("steps.xyz", "b.xyz", None),
+    ],
+)
+def test_a_label_that_gives_other_columns_a_meaning(file, out, then, tmp_path):
+    """Behind six columns of a .pts it makes an intensity of red; with two that are not read it makes colours."""
+    colored = "".join(f"{i}.5 {i} .5 10 {20 + i} 30\n" for i in range(12))
+    two_more = "".join(f"{i}.5 {i} .5 10 {i}\n" for i in range(12))
+    steps = "".join(f"{i} {i}.5 .5\n" for i in range(12))
+    texts = {"a.pts": colored, "counted.xyz": f"12\n{colored}", "two_more.xyz": two_more, "steps.xyz": steps}
+    (tmp_path / file).write_text(texts[file])
+    then = f"x y z {then}" if then else "number x y z"
+    with pytest.raises(ValueError, match=rf"with label, x y z.* would be read as {then}; write names of all columns"):
+        text_clouds.with_column(tmp_path / file, "label", range(12), tmp_path / out)
+    names = " ".join(["x", "y", "z", "red", "green", "blue"][: len(texts[file].splitlines()[-1].split())])
+    (tmp_path / file).write_text(f"{names}\n{texts[file]}")
+    assert text_clouds.with_column(tmp_path / file, "label", range(12), tmp_path / out).endswith(b" 11\n")
+    (tmp_path / "b.xyz").write_text(colored)
+    assert text_clouds.with_column(tmp_path / "b.xyz", "label", range(12)).endswith(b"11.5 11 .5 10 31 30 11\n")
 
 
 def test_decimal_commas_between_commas(tmp_path):

@@ -31,17 +31,13 @@ MOST_COLUMNS = 16
 NAMES = ("x", "y", "z", "r", "g", "b", "nx", "ny", "nz")
 #: Normals in text have few digits, and a few have no length.
 UNIT, MOST_UNIT = 0.02, 0.95
-#: A column that counts fewer rows may be a coordinate.
+#: The name of a column that counts the rows. One that counts fewer rows may be a coordinate.
+NUMBER = "number"
 FEWEST_COUNTED = 10
 
 
 def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
-    """Reads a cloud of text.
-
-    Args:
-        path: of the file.
-        letters: of the columns, as of :func:`torchjoint.datasets.files.clouds.read_cloud_file`, or None.
-    """
+    """Reads a cloud of text; `letters` of its columns are those of `read_cloud_file`, or None."""
     data, start, number, names, count = _opened(path)
     if unit := _COLUMN_UNIT.search(data, 0, start) or NO_METRE.search(data, 0, start):
         warnings.warn(f"{path}: {unit[0].decode('utf-8', 'replace')}: taken as metres", stacklevel=4)
@@ -58,7 +54,7 @@ def read_text_cloud(path: Path, letters: str | None) -> CloudFile:
         if names is not None and re.search(rb"(?m)^(?![ \t]*(#|//)).*[a-zA-Z]", data[:start]):
             some = ", ".join(names)[:80]
             raise ValueError(f"{len(names)} names of columns, {some}, but {rows.shape[1]} numbers a row; name all")
-        return cloud_of_rows(rows, str(path), count is not None or path.suffix.lower() == ".pts")
+        return cloud_of_rows(rows, str(path), count, path.suffix)
 
 
 def read_column(path: Path, wanted: Sequence[str]) -> Array | None:
@@ -75,10 +71,15 @@ def with_column(path: Path, name: str, values: Sequence[int], out: Path | None =
 
     It is for `out`, whose suffix may give seven columns a meaning.
     """
-    data, start, _, names, _ = _opened(path)
+    data, start, number, names, count = _opened(path)
     head, rows = data[:start].splitlines(), data[start:].splitlines()
-    if names is None and (out or path).suffix.lower() == ".pts" and len(rows[0].split()) == 6:
-        raise ValueError(f"{path}: 7 columns of a .pts are x y z intensity r g b; give -o NAME.xyz for a label")
+    if names is None:
+        old = _numbers(data[start:], number, path)
+        new = np.column_stack([old, values])
+        was, then = _names_of(old, count, path.suffix), _names_of(new, count, (out or path).suffix)
+        if was != then:
+            told = f"{path}: with {name}, {' '.join(was)} would be read as {' '.join(then)}"
+            raise ValueError(f"{told}; write names of all columns into a first line (x y z red green blue)")
     mark = next((mark for mark in (b";", b",", b"\t") if mark in rows[0]), b" ")
     last = mark if rows[0].rstrip().endswith(mark) else b""  # it is no empty field then
     of_row = {place: numbers for place, row in enumerate(rows) if (numbers := re.split(rb"#|//", row)[0].rstrip())}
@@ -174,43 +175,40 @@ def _shown(line: bytes) -> str:
     return repr(line[:80].decode("utf-8", "replace"))
 
 
-def cloud_of_rows(rows: Array, name: str, is_pts: bool = False) -> CloudFile:
-    """The cloud of rows without names.
-
-    Args:
-        rows: [N, columns].
-        name: of the file, for warnings.
-        is_pts: if there are seven columns, they are x y z intensity r g b.
-    """
+def cloud_of_rows(rows: Array, name: str, count: int | None = None, suffix: str = "") -> CloudFile:
+    """The cloud of rows [N, columns] without names, of a file of this name, count of points, and suffix."""
     if rows.ndim != 2 or rows.shape[1] < 3:
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}")
     if rows.shape[1] > max(MOST_COLUMNS, rows.shape[0]):
         raise ValueError(f"expected a row of x y z for each point, got shape {list(rows.shape)}: transpose the array")
     if rows.dtype == np.float16 and rows.size:
         tell_half(float(np.nanmax(np.abs(rows[:, :3]), initial=0)), torch.float16, name)
-    if _is_count(rows := rows.astype(np.float64)):
+    names = _names_of(rows := rows.astype(np.float64), count, suffix)
+    if NUMBER in names:
         told = "the first column counts the rows, and is not read; a first line of names (x y z red ...) tells others"
         warnings.warn(f"{name}: {told}", stacklevel=3)
-        rows = rows[:, 1:]
-    names, found = ["x", "y", "z"], ["x y z"]
-    if rows.shape[1] >= 7 and (is_pts or not _are_bytes(rows[:, 3])) and _are_bytes(_known(rows[:, 4:7])):
+    if rows.shape[1] > len(names):
+        told = f"{name}: of {rows.shape[1]} columns, the first {len(names)} are known, {' '.join(names)}"
+        more = "a first line of names (x y z red ...), or `superpoints --columns`, names others"
+        warnings.warn(f"{told}; the rest is left out; {more}", stacklevel=3)
+    return cloud_of(dict(zip(names, rows.T, strict=False)), name)
+
+
+def _names_of(rows: Array, count: int | None, suffix: str) -> list[str]:
+    """The names of the first columns, as far as they can be told; seven of a .pts are x y z intensity r g b."""
+    names, is_pts = [NUMBER] * _is_count(rows) + ["x", "y", "z"], count is not None or suffix.lower() == ".pts"
+    after = rows[:, len(names) :]
+    if after.shape[1] >= 4 and (is_pts or not _are_bytes(after[:, 0])) and _are_bytes(_known(after[:, 1:4])):
         names += ["intensity", "r", "g", "b"]
-        found.append("colours behind an intensity")
     while rows.shape[1] >= len(names) + 3:
         three = _known(rows[:, len(names) : len(names) + 3])
         if "nx" not in names and _are_unit(three):
             names += ["nx", "ny", "nz"]
-            found.append("normals")
         elif "r" not in names and three.size and three.min() >= 0 and three.max() <= 256:
             names += ["r", "g", "b"]
-            found.append("colours")
         else:
             break
-    if rows.shape[1] > len(names):
-        told = f"{name}: of {rows.shape[1]} columns, the first {len(names)} are read, {' and '.join(found)}"
-        more = "a first line of names (x y z red ...), or `superpoints --columns`, names others"
-        warnings.warn(f"{told}; the rest is left out; {more}", stacklevel=3)
-    return cloud_of(dict(zip(names, rows.T, strict=False)), name)
+    return names
 
 
 def _is_count(rows: Array) -> bool:
