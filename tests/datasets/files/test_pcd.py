@@ -108,6 +108,16 @@ class TestFields:
         colors = read_cloud_file(path).colors
         torch.testing.assert_close(colors, torch.tensor([[255, 128, 1], [1, 2, 3], [0, 0, 0]]) / 255)
 
+    def test_places_in_a_survey_keep_their_digits_in_text(self, tmp_path):
+        """Open3D writes ten of them, though TYPE and SIZE say float32, whose steps are 0.5 m there."""
+        path = write_pcd(tmp_path / "c.pcd", XYZ | {"fpfh": np.zeros((3, 33), np.float32)}, data="ascii")
+        head, rows = path.read_text().split("ascii\n")
+        rows = [f"500000.25 5600000.125 {row.split(' ', 2)[2]}\n" for row in rows.splitlines()]
+        path.write_text(f"{head}ascii\n{''.join(rows)}")
+        with pytest.warns(UserWarning, match="fpfh: no position"):
+            points = read_cloud_file(path).points
+        assert points[:, :2].tolist() == [[500000.25, 5600000.125]] * 3
+
     def test_normals(self, tmp_path):
         fields = XYZ | {f"normal_{axis}": np.full(3, axis == "y", dtype=np.float32) for axis in "xyz"}
         cloud = read_cloud_file(write_pcd(tmp_path / "c.pcd", fields))

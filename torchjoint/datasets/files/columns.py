@@ -161,9 +161,11 @@ def unit_colors(colors: Array) -> Tensor:
     return torch.from_numpy((colors if white == 1 else colors / white).astype(np.float32))
 
 
-def typed(values: npt.NDArray[np.float64], kind: npt.DTypeLike, name: str, where: str, column: str = "") -> Array:
-    """Numbers from text in their own type; integers must fit into it. PCL writes a float `rgb` as its 32 bits."""
-    dtype = np.dtype(np.float64 if np.dtype(kind) == np.float32 and plain(column) in PACKED else kind)
+def typed(values: npt.NDArray[np.float64], kind: npt.DTypeLike, name: str, where: str) -> Array:
+    """Numbers from text in their own type; integers must fit into it."""
+    # float32 would round places in a survey, and the 32 bits of a colour that PCL writes.
+    is_large = np.fmax.reduce(np.abs(values), axis=None, initial=0) > 1e5
+    dtype = np.dtype(np.float64 if is_large and np.dtype(kind) == np.float32 else kind)
     with np.errstate(over="ignore", invalid="ignore"):
         converted: Array = values.astype(dtype, copy=False)
     if dtype.kind != "f" and (converted != values).any():  # also of NaN

@@ -133,7 +133,7 @@ def _read_ascii(path: Path, body: bytes, header: PcdHeader) -> dict[str, Array]:
         raise ValueError(f"{path}: truncated, or too long: expected {expected}, got {len(values)} of {values.shape[1]}")
     parts = zip(header.fields.items(), np.split(values, ends[:-1], axis=1), strict=True)
     return {
-        name: typed(part, dtype.base, str(path), f"field {name!r}", name).reshape(-1, *dtype.shape)
+        name: typed(part, dtype.base, str(path), f"field {name!r}").reshape(-1, *dtype.shape)
         for (name, dtype), part in parts
     }
 

@@ -365,7 +365,7 @@ def _ascii_rows(text: bytes, element: Element) -> Columns:
         name = f"property {one.name}"
         must_fit(place < ends, place - starts + 1, "")
         if one.length is None:
-            columns[one.name], place = typed(numbers[place], one.kind, name, element.name, one.name), place + 1
+            columns[one.name], place = typed(numbers[place], one.kind, name, element.name), place + 1
             continue
         lengths = typed(numbers[place], one.length, name, element.name).astype(np.int64)
         place = place + 1
