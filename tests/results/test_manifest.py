@@ -207,6 +207,16 @@ def test_corrections_and_other_files_are_free(out):
     assert list(read_all(out)[0].segment_names.values()) == ["floor"]
 
 
+@pytest.mark.parametrize("version", ["new", "old"])
+def test_files_that_macos_adds_are_none_of_a_result(version, request):
+    folder = request.getfixturevalue("out" if version == "new" else "old")
+    count = len(tj.load_result(folder).images)
+    for file in sorted(folder.rglob("*")):
+        file.with_name(f"._{file.name}").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X")
+    sizes = read_all(folder)[1] if version == "new" else list(tj.load_result(folder).images)
+    assert len(tj.load_result(folder).images) == count <= len(sizes)
+
+
 def test_a_result_of_version_0_1_0():
     result, sizes, _ = read_all(OLD)
     assert not (OLD / "manifest.json").exists()

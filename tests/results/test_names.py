@@ -126,9 +126,10 @@ def test_a_name_that_leads_out_of_a_folder_of_windows(name):
 
 
 def test_different_names_have_different_files():
-    names = ["a/b", "a_b", "a\0b", "a//b", "\ud800", "\ud801", "", ".", "..", "n" * 300, "n" * 301]
+    names = ["a/b", "a_b", "a\0b", "a//b", "\ud800", "\ud801", "", ".", "..", "._x", "n" * 300, "n" * 301]
     files = [file_name(name) for name in names]
     assert len(set(files)) == len(names)
+    assert not any(file.startswith("._") for file in files)  # macOS has them beside a file, and they are not read
     assert all(os.path.basename(file) == file and len(os.fsencode(file)) <= LONGEST for file in files)
 
 

@@ -138,6 +138,7 @@ def test_a_folder_of_files_is_one_cloud(tmp_path):
     write_las(tmp_path / "parts" / "b.las", points[2500:])
     write_las(tmp_path / "all.las", points)
     laspy.LasData(laspy.LasHeader(point_format=3)).write(tmp_path / "parts" / "empty.laz")
+    (tmp_path / "parts" / "._a.laz").write_bytes(b"Mac OS X")
     for name, out in (("parts", "out"), ("all.las", "out.las")):
         with pytest.warns(match="1 of 3 files have no points, .*: empty") if out == "out" else nullcontext():
             superpoints_of_files(tmp_path / name, tmp_path / out, tile=5, buffer=1, engine="loky:1")

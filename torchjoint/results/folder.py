@@ -172,7 +172,7 @@ def read_result(folder: Path, labels: Tensor | None = None, check: manifest.Chec
     not kept. `labels`: of the points, if they were read before.
     """
     labels = read_points(folder).labels if labels is None else labels
-    files = sorted((folder / "images").glob("*.png"))
+    files = sorted(file for file in (folder / "images").glob("*.png") if file.name[:2] != "._")
     images = LazySequence(len(files), lambda index: read_label_image(check(files[index])) - 1)
     true = {file: name for name, file in read_names(folder).items()}
     names = tuple(true.get(file.stem, file.stem) for file in files)

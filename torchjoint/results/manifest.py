@@ -126,8 +126,9 @@ _WAY_OUT = "; load_result(..., verify=False) reads it all the same"
 
 
 def _names(folder: Path, kinds: Sequence[str] = READ) -> list[str]:
-    """The names of a result's files of some kinds, relative to its folder."""
-    return sorted(file.relative_to(folder).as_posix() for one in kinds for file in folder.glob(one))
+    """The names of a result's files of some kinds, relative to its folder, without ._NAME of macOS."""
+    found = (file for one in kinds for file in folder.glob(one) if file.name[:2] != "._")
+    return sorted(file.relative_to(folder).as_posix() for file in found)
 
 
 def _read(file: Path, record: Mapping[str, Any], kind: str = "files") -> dict[str, list[Any]]:

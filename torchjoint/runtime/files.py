@@ -14,8 +14,8 @@ from torchjoint.runtime.foreign_files import open_file, read_file
 
 #: Most bytes of a name: file systems allow 255, and a suffix may follow.
 LONGEST = 240
-#: Slashes and the colon behind a drive of Windows; what controls a terminal that lists the files, or turns writing.
-_NOT_IN_NAMES = re.compile(r"[/\\:\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+#: Slashes, the colon behind a drive of Windows, ._ of macOS; what controls a terminal that lists them, or turns text.
+_NOT_IN_NAMES = re.compile(r"[/\\:\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]|^\._")
 #: How the names of temporary files begin; a random part follows, so that two writers of a file do not meet.
 PARTIAL = ".partial-"
 #: Errors of a disk without room.

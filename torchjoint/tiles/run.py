@@ -140,7 +140,7 @@ def is_las(path: Path) -> bool:
 
 
 def _in_folder(path: Path) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and has_file(file))
+    return sorted(file for file in path.glob("[!.]*") if file.suffix.lower() in SUFFIXES and has_file(file))
 
 
 def _files(cloud: Path) -> list[Path]:

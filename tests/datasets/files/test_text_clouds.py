@@ -221,7 +221,7 @@ def test_a_label_that_gives_other_columns_a_meaning(file, out, then, tmp_path):
     texts = {"a.pts": colored, "counted.xyz": f"12\n{colored}", "two_more.xyz": two_more, "steps.xyz": steps}
     (tmp_path / file).write_text(texts[file])
     then = f"x y z {then}" if then else "number x y z"
-    with pytest.raises(ValueError, match=rf"with label, x y z.* would be read as {then}; write names of all columns"):
+    with pytest.raises(ValueError, match=rf"with label, x y z.* would be read as {then}; name all columns in a first"):
         text_clouds.with_column(tmp_path / file, "label", range(12), tmp_path / out)
     names = " ".join(["x", "y", "z", "red", "green", "blue"][: len(texts[file].splitlines()[-1].split())])
     (tmp_path / file).write_text(f"{names}\n{texts[file]}")

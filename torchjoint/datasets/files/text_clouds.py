@@ -75,11 +75,10 @@ def with_column(path: Path, name: str, values: Sequence[int], out: Path | None =
     head, rows = data[:start].splitlines(), data[start:].splitlines()
     if names is None:
         old = _numbers(data[start:], number, path)
-        new = np.column_stack([old, values])
-        was, then = _names_of(old, count, path.suffix), _names_of(new, count, (out or path).suffix)
+        kinds = (old, path), (np.column_stack([old, values]), out or path)
+        was, then = (" ".join(_names_of(one, count, file.suffix)) for one, file in kinds)
         if was != then:
-            told = f"{path}: with {name}, {' '.join(was)} would be read as {' '.join(then)}"
-            raise ValueError(f"{told}; write names of all columns into a first line (x y z red green blue)")
+            raise ValueError(f"{path}: with {name}, {was} would be read as {then}; name all columns in a first line")
     mark = next((mark for mark in (b";", b",", b"\t") if mark in rows[0]), b" ")
     last = mark if rows[0].rstrip().endswith(mark) else b""  # it is no empty field then
     of_row = {place: numbers for place, row in enumerate(rows) if (numbers := re.split(rb"#|//", row)[0].rstrip())}
