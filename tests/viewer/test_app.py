@@ -20,6 +20,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint.results.edits import Edit, read_edits
+from torchjoint.results.shared_edits import save_edits
 from torchjoint.viewer.shown import Shown
 
 viser = pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
@@ -100,10 +101,45 @@ def test_corrections_are_saved_as_they_are_made(out, tmp_path, monkeypatch):
     viewer._guarded(viewer._change, lambda: viewer.model.name("couch"))
     assert [step.name for step in read_edits(folder, count).steps] == ["couch"]
     assert told[-1] == "damaged image"
-    viewer._can_save = False  # what is shown is not what is in the folder
-    viewer._guarded(viewer._change, lambda: viewer.model.name("lamp"))
-    assert [step.name for step in read_edits(folder, count).steps] == ["couch"]
     viewer.stop()
+
+
+def test_other_parameters_cannot_be_corrected(out, tmp_path):
+    """Corrections of what `Compute again` shows were lost, also if it was computed with the parameters of OUT."""
+    folder = shutil.copytree(out, tmp_path / "out")
+    result = tj.load_result(folder, edits=False)
+    run = SimpleNamespace(parameters={}, compute=lambda _: result)
+    viewer = app.Viewer(result, Shown(folder, run), page=Page(port=8990))
+    viewer.model.select((int(viewer.model.table[0]),))
+    typed(viewer, "sofa")
+    controls = [getattr(viewer._panel, name) for name in ("name", "correct", "save", "by_clicks")]
+    assert all(one.visible for one in controls)
+    viewer._guarded(viewer._on_parameters)
+    assert [one.visible for one in (*controls, viewer._panel.keep)] == [False, False, False, True, False]
+    controls[3].value = True
+    assert not viewer._panel.keep.visible
+    assert [step.name for step in read_edits(folder, viewer.model.parts.count).steps] == ["sofa"]
+    assert viewer.not_kept() == ""
+    viewer.stop()
+
+
+def test_what_others_save_while_a_run_ends_is_kept(out, tmp_path, monkeypatch):
+    """What came after the corrections were read, and before they were read again, counted as undone here."""
+    folder = shutil.copytree(out, tmp_path / "out")
+    result = tj.load_result(folder, edits=False)
+    viewer = app.Viewer(result, Shown(is_running=True), page=Page(port=8990))
+    viewer.model.select((int(viewer.model.table[0]),))
+    typed(viewer, "sofa")
+    theirs, take_names = Edit("join", (0, 1)), app.Model.take_names
+
+    def saved_meanwhile(model, *arguments):
+        save_edits(folder, replace(edits := read_edits(folder, model.parts.count), steps=(theirs,)), edits, model.parts)
+        take_names(model, *arguments)
+
+    monkeypatch.setattr(app.Model, "take_names", saved_meanwhile)
+    viewer.replace(result, Shown(folder))
+    viewer.stop()
+    assert [step.kind for step in read_edits(folder, viewer.model.parts.count).steps] == ["join", "name"]
 
 
 def typed(viewer, text, page=None):
@@ -197,6 +233,12 @@ def test_what_a_page_does_goes_to_no_thing_of_another(out, tmp_path, monkeypatch
         clients[0] = {1: object()}
     typed(viewer, "bed", object())
     assert "bed" in viewer.model.names.values()
+    viewer._on_event(f"torchjoint:row {viewer.model.key(mine)} 0 4", pages[0])
+    viewer._guarded(viewer._on_view, "Clear selection", pages[1])
+    viewer._guarded(viewer._on_correct, "Undo", pages[0])
+    assert told[-1] == told[0]
+    viewer._guarded(viewer._on_correct, "Undo", pages[1])
+    assert told[-1] == "undone: name 'bed'"
     viewer.stop()
 
 
@@ -391,7 +433,7 @@ def test_a_page_that_closes_at_a_photo_leaves_no_small_points(out):
     viewer.stop()
 
 
-def test_what_is_not_kept_is_told_when_the_program_ends(out, tmp_path, capsys):
+def test_what_is_not_kept_is_told_when_the_program_ends(out, tmp_path, capsys, monkeypatch):
     folder = shutil.copytree(out, tmp_path / "out")
     viewer = opened(folder, 8990)
     assert viewer.not_kept() == ""
@@ -399,7 +441,7 @@ def test_what_is_not_kept_is_told_when_the_program_ends(out, tmp_path, capsys):
     assert viewer.not_kept() == "level 0.7, which Save the level keeps"
     viewer._guarded(viewer._on_save)
     assert viewer.not_kept() == ""
-    viewer._can_save = False  # other parameters
+    monkeypatch.setattr(app, "save_edits", lambda *_: (_ for _ in ()).throw(PermissionError("read-only")))
     viewer._guarded(viewer._change, lambda: (viewer.model.select((0,)), viewer.model.name("sofa")))
     _end(weakref.ref(viewer.page))
     assert capsys.readouterr().out == "not kept: corrections after those in edits.json\n"

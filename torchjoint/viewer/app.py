@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ class Viewer:
         self.model = Model(result, self._saved, up_direction(result.scene).numpy())
         self._chooser: Any = None  # the page that chose what is selected; others may still mean something else
         self._lock = FairLock()  # viser calls the functions below on several threads
-        self._order, self._can_save = "points", True
+        self._order = "points"
         self._made = self._saved.steps  # the corrections after the last action
         self.page = page or Page()
         self.server, self.page.not_kept = self.page.server, self.not_kept
@@ -108,6 +109,7 @@ class Viewer:
             self._show(model, shown, True)
 
     def _show(self, model: Model, shown: Shown | None, has_grown: bool) -> None:
+        read = model.edits  # without names of a run, which are not saved yet
         if self._shown.is_running:
             model.take_names(self.model, has_grown)
             if shown is not None and model.waiting:
@@ -115,8 +117,7 @@ class Viewer:
         kept = (self._frame_index(), self._panel.cameras.value) if self._has_frames else ()
         self.model = model
         if shown is not None:
-            self._shown, self._saved = shown, shown.edits(model.result)
-            self._made = self._saved.steps  # names of a run may be the same steps, and are not saved yet
+            self._shown, self._saved, self._made = shown, read, read.steps
             self._add_panel(*kept)
             self._work_behind()
         self._guarded(self._draw)
@@ -298,18 +299,24 @@ class Viewer:
             self._panel.frame.value = frames[0]  # which draws the image
 
     def _on_parameters(self) -> None:
-        """Shows the result of other parameters; corrections that do not belong to it are dropped."""
+        """Shows the result of other parameters, which is in no folder: it cannot be corrected."""
         assert self._shown.run is not None  # without a run there are no parameters
         self._say("computing again ...", "blue")
         result = self._shown.run.compute({name: float(field.value) for name, field in self._panel.parameters.items()})
-        self._can_save = False
+        self._shown = replace(self._shown, folder=None)
+        for control in (self._panel.name, self._panel.correct, self._panel.keep, self._panel.save):
+            control.visible = False
         self.replace(result)
         self._work_behind()
         found = counted(result.num_point_segments, "segment")
-        self._say(f"{found}; not written to OUT: run `segment` with --set to write this")
+        self._say(f"{found}; not written to OUT, nor corrected: run `segment` with --set to write this")
 
     def _on_view(self, action: str, client: Any) -> None:
-        self._eyes.show_all(client, self.result.scene) if action == RESET else self._select(())
+        if action == RESET:
+            self._eyes.show_all(client, self.result.scene)
+        else:
+            self._chooser = client
+            self._select(())
 
     def _on_frame(self) -> None:
         self._draw_image()
@@ -360,8 +367,6 @@ class Viewer:
 
     def _on_save(self) -> None:
         assert self.folder is not None  # without a folder there is no button
-        if not self._can_save:
-            raise ValueError("save: expected the parameters of the result on disk, got others")
         self._save(self.folder)
         self._say(f"level saved with {counted(len(self._saved.steps), 'correction')}, in {self.folder / 'edits.json'}")
 
@@ -371,7 +376,7 @@ class Viewer:
         What cannot be saved, as in a folder of others, is told once, not with each movement of the camera.
         """
         before, self._made = self._made, self.model.edits.steps
-        if self.folder is not None and self._can_save and self._made not in (self._saved.steps, before):
+        if self.folder is not None and self._made not in (self._saved.steps, before):
             self._save(self.folder)
 
     def _save(self, folder: Path) -> None:
