@@ -240,6 +240,7 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
 @on_cpu()
 def save_result(folder: Path, result: Result, overwrite: bool) -> None:
     """See :meth:`torchjoint.Result.save`."""
+    Result.of(result, result.scene)  # raises if others took the place of its points or frames
     parts = Parts(result)
     same = (one / 100 for one in (50, *range(101)) if (parts.level(one / 100) == parts.level(None)).all())
     for one, name in result.segment_names.items():
