@@ -1,5 +1,6 @@
 """The viewer's page as an object: two of them on one result, and the end of a program that opened one."""
 
+import re
 import shutil
 import signal
 import subprocess
@@ -157,6 +158,22 @@ def test_names_of_a_run_are_saved_with_its_result(out, tmp_path):
     viewer.replace(result, Shown(folder))  # of the same superpoints, as of method paper
     viewer.stop()
     assert [step.name for step in read_edits(folder, viewer.model.parts.count).steps] == ["sofa\\x1b[2J\\x9b\t"]
+
+
+def test_a_click_in_the_table_of_an_earlier_result(out):
+    """While a run went on, it chose what had the same id in the result that came meanwhile."""
+    whole, order = tj.load_result(out, edits=False), np.random.default_rng(0).permutation
+    result = tj.Result.of(tj.Segmentation(whole.points, ()), tj.Scene(whole.scene.points))
+    viewer = app.Viewer(result, Shown(is_running=True), page=Page(port=8990))
+    others = torch.from_numpy(order(result.num_point_segments))
+    for row in re.findall(r'data-key="(\d+)".*?</span>(\d+)', before := viewer._panel.table.content):
+        viewer.replace(replace(result, points=others[result.points]))
+        viewer._on_event(f"torchjoint:row {row[0]} 0 1", object())
+        (lit,) = viewer.model.selected
+        assert set(result.points[viewer.model.table[viewer.model.parts.of_point] == lit].tolist()) == {int(row[1])}
+        others = torch.from_numpy(order(result.num_point_segments))
+    assert viewer._panel.table.content != before
+    viewer.stop()
 
 
 def test_what_is_typed_while_a_name_is_saved_stays(out, tmp_path, monkeypatch):

@@ -189,7 +189,7 @@ def visible_segments(viewer):
     """Segments with a place to click, largest first."""
     model = viewer.model
     found = places(viewer, model.table[model.parts.of_point])
-    segments = [model.segment_of_key(row.key) for row in model.rows()[0]]
+    segments = [model.segment_of_hue(row.hue) for row in model.rows()[0]]
     return [(segment, found[segment]) for segment in segments if segment in found]
 
 
@@ -582,7 +582,7 @@ def test_the_photo_is_behind_the_points_until_the_view_turns(viewer, page):
     assert viewer._eyes.standing
     assert viewer._cloud._handles[0].point_size < 0.5 * viewer._cloud._whole[0]
     wait(lambda: (pixels(page)[200:450, 50:530].min(2) > 250).mean() < 0.02)  # no white between the points
-    segment = viewer.model.segment_of_key(viewer.model.rows()[0][0].key)
+    segment = viewer.model.segment_of_hue(viewer.model.rows()[0][0].hue)
     viewer._guarded(viewer._select, (segment,))  # the faded others would hide the photo
     assert sum(len(handle.points) for handle in viewer._cloud._handles.values()) == viewer.model.row(segment).points
     page.mouse.move(300, 300)

@@ -231,7 +231,7 @@ class Viewer:
         elif kind == "hover":
             self._on_hover(client, [*map(float, values)])
         elif kind == "row":
-            self._choose(self.model.segment_of_key(int(values[0])), values[1] == "1")
+            self._choose(self.model.segment_of_hue(int(values[0])), values[1] == "1")
         elif kind == "image" and self._has_frames:
             superpoints = self.model.parts.image(self._frame_index())
             # An edge may give -1.

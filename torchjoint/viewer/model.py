@@ -136,10 +136,10 @@ class Model:
         """The displayed id of a segment."""
         return int(self.measures.ids[segment])
 
-    def segment_of_key(self, key: int) -> int | None:
-        """The segment with a displayed id; None if this level has no such segment."""
+    def segment_of_hue(self, hue: int) -> int | None:
+        """The segment of a colour, which stays that of a thing when ids change; None: this level has no such one."""
         firsts = np.unique(self.table)
-        found = firsts[self.measures.ids[firsts] == key]
+        found = firsts[self.measures.hues[firsts] == hue]
         return int(found[0]) if len(found) else None
 
     # Changes
