@@ -1,6 +1,8 @@
 """Networks of the caller's: run in evaluation mode, and given back in the modes in which they came."""
 
+import time
 from dataclasses import replace
+from threading import Barrier, Thread
 
 import pytest
 import torch
@@ -63,6 +65,29 @@ def test_also_after_an_error(scene, role):
     with pytest.raises(KeyError, match="in the network"):
         tj.JointSegmenter(**{role: network})(scene)
     assert network.modes() == FOUND
+
+
+def test_threads_share_a_network(scene):
+    """The first one to end set the network of the others to training mode, which also changed its statistics."""
+    network = Network(ROLES["boundary"])
+    segmenter, both = ImageSegmenter(tj.Config(), boundary=network), Barrier(2)
+    network.output = lambda images: (both.wait(10), ROLES["boundary"](images))[1]
+    first, second = (Thread(target=segmenter.detect, args=([frame], Stopwatch())) for frame in scene.frames)
+    with eval_mode(network):
+        first.start()
+        while not network.ran_in:  # it runs
+            time.sleep(0.01)
+    second.start()
+    first.join(10)
+    second.join(10)
+    assert network.ran_in == 2 * [dict.fromkeys(FOUND, False)]
+    assert network.modes() == FOUND
+    assert not network.norm.running_mean.any()
+
+
+def test_a_detector_of_no_parts_is_used():
+    """A list of modules without a member is false."""
+    assert type(ImageSegmenter(tj.Config(), boundary=nn.ModuleList()).boundary) is nn.ModuleList
 
 
 def test_a_network_in_eval_mode_stays_there():
