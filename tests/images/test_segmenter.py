@@ -1,8 +1,8 @@
 """Networks of the caller's: run in evaluation mode, and given back in the modes in which they came."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from threading import Barrier, Thread
 
 import pytest
 import torch
@@ -69,17 +69,18 @@ def test_also_after_an_error(scene, role):
 
 def test_threads_share_a_network(scene):
     """The first one to end set the network of the others to training mode, which also changed its statistics."""
-    network = Network(ROLES["boundary"])
-    segmenter, both = ImageSegmenter(tj.Config(), boundary=network), Barrier(2)
-    network.output = lambda images: (both.wait(10), ROLES["boundary"](images))[1]
-    first, second = (Thread(target=segmenter.detect, args=([frame], Stopwatch())) for frame in scene.frames)
-    with eval_mode(network):
-        first.start()
-        while not network.ran_in:  # it runs
-            time.sleep(0.01)
-    second.start()
-    first.join(10)
-    second.join(10)
+    network, runs = Network(ROLES["boundary"]), []
+
+    def output(images):
+        runs.append(threads.submit(segmenter.detect, [scene.frames[1]], Stopwatch())) if not runs else None
+        time.sleep(0.2)  # the other one begins, if it does not wait
+        return ROLES["boundary"](images)
+
+    network.output = output
+    segmenter = ImageSegmenter(tj.Config(), boundary=network)
+    with ThreadPoolExecutor() as threads:
+        segmenter.detect([scene.frames[0]], Stopwatch())
+        runs[0].result()
     assert network.ran_in == 2 * [dict.fromkeys(FOUND, False)]
     assert network.modes() == FOUND
     assert not network.norm.running_mean.any()

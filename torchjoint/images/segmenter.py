@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from threading import Lock
+from threading import RLock
 from typing import NamedTuple
 
 import torch
@@ -19,34 +19,24 @@ from torchjoint.scene import Frame, Masks
 from torchjoint.scene.checks import as_labels
 from torchjoint.scene.masks import as_masks
 
-#: Of each part of a module in :func:`eval_mode`, by id: the number of blocks, and its mode before them.
-_in_blocks: dict[int, tuple[int, bool]] = {}
-_lock = Lock()
+_lock = RLock()
 
 
 @contextmanager
 def eval_mode(module: nn.Module) -> Iterator[None]:
-    """Sets a module and all its parts to evaluation mode inside a block, and restores their modes after the last one.
+    """Sets a module and all its parts to evaluation mode inside a block, and restores their modes afterwards.
 
     In training mode the output would depend on the batches of frames. The old modes are restored because the module
-    belongs to the caller. Several threads may be in a block.
+    belongs to the caller. One thread is in such a block at a time: they may share parts, whose modes would mix.
     """
-    parts = [*module.modules()]
     with _lock:
-        for part in parts:
-            count, training = _in_blocks.get(id(part), (0, part.training))
-            _in_blocks[id(part)] = count + 1, training
-    try:
+        before = [(part, part.training) for part in module.modules()]
         module.eval()
-        yield
-    finally:
-        with _lock:
-            for part in parts:
-                count, training = _in_blocks.pop(id(part))
-                if count > 1:
-                    _in_blocks[id(part)] = count - 1, training
-                else:
-                    part.training = training
+        try:
+            yield
+        finally:
+            for part, training in before:
+                part.training = training
 
 
 #: Least mean of colours. The data that the model was trained on have 0.3 to 0.55.
