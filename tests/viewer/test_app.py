@@ -358,7 +358,7 @@ def test_a_click_at_the_edge_of_the_photo_stays_at_that_edge(out, monkeypatch):
     superpoints, chosen = np.full((4, 6), -1), []
     superpoints[0, 0] = 3
     monkeypatch.setattr(type(viewer.model.parts), "image", lambda *_: superpoints)
-    monkeypatch.setattr(viewer, "_on_point", lambda point, _: chosen.append(point))
+    monkeypatch.setattr(viewer, "_on_point", lambda point, *_: chosen.append(point))
     for place in ("-1 -1", "-9 0", "5 3", "99 99", f"{10**30} 0"):
         viewer._on_event(f"torchjoint:image {place} 0 1", None)
     middle = viewer.model.parts.middle(3)
@@ -371,7 +371,7 @@ def test_the_photo_goes_to_a_frame_that_sees_the_selected(out, monkeypatch):
     seen = {0: [(2, 9), (1, 5)], 1: [(1, 8), (2, 3)], 2: []}
     monkeypatch.setattr(viewer.model.measures, "frames_of", lambda segment: seen.get(segment, []))
     monkeypatch.setattr(viewer.model, "select", lambda segments: None)
-    shown = [(viewer._select(segments), viewer._frame_index())[1] for segments in ((), (2,), (0,), (1,))]
+    shown = [(viewer._select(segments, None), viewer._frame_index())[1] for segments in ((), (2,), (0,), (1,))]
     assert shown == [0, 0, 2, 2]
     viewer.stop()
 

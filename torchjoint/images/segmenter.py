@@ -17,7 +17,6 @@ from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Masks
 from torchjoint.scene.checks import as_labels
-from torchjoint.scene.masks import as_masks
 
 _lock = RLock()
 
@@ -143,10 +142,7 @@ class ImageSegmenter(nn.Module):
         if len(output) != len(images):
             raise ValueError(f"image_segmenter's output: expected {len(images)} images, got {len(output)}")
         name = "image_segmenter's output"
-        return [
-            as_masks(segments, size, name=name) if isinstance(segments, Masks) else as_labels(segments, size, name)
-            for segments in output
-        ]
+        return [one.resized(size) if isinstance(one, Masks) else as_labels(one, size, name) for one in output]
 
     def _segment(self, frames: Sequence[Frame], given: Sequence[Given], boundaries: Tensor) -> list[ImageSegments]:
         def segment(job: tuple[Frame, Given, Tensor]) -> ImageSegments:

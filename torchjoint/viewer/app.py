@@ -218,8 +218,6 @@ class Viewer:
 
     def _on_event(self, event: str, client: Any) -> None:
         kind, *values = event.removeprefix(PREFIX).split()[:-1] or [""]  # the last word is the time
-        if kind in ("row", "image"):
-            self._chooser = client
         if kind == "sort" and values[0] in COLUMNS:
             self._order = values[0]
             self._draw_table()
@@ -231,26 +229,26 @@ class Viewer:
         elif kind == "hover":
             self._on_hover(client, [*map(float, values)])
         elif kind == "row":
-            self._choose(self.model.segment_of_hue(int(values[0])), values[1] == "1")
+            self._choose(self.model.segment_of_hue(int(values[0])), values[1] == "1", client)
         elif kind == "image" and self._has_frames:
             superpoints = self.model.parts.image(self._frame_index())
             # An edge may give -1.
             column, row = np.clip([*map(int, values[:2])], 0, np.array(superpoints.shape[::-1]) - 1)
             superpoint = int(superpoints[row, column])
-            self._on_point(None if superpoint < 0 else self.model.parts.middle(superpoint), values[2] == "1")
+            self._on_point(None if superpoint < 0 else self.model.parts.middle(superpoint), values[2] == "1", client)
 
     def _on_ray(self, event: Any, more: bool) -> None:
-        self._chooser = event.client
         ray = np.array(event.ray_origin), np.array(event.ray_direction)
-        self._on_point(pick_point(self.result.scene.points.numpy(), *ray, 0.5 * self._cloud.size), more)
+        self._on_point(pick_point(self.result.scene.points.numpy(), *ray, 0.5 * self._cloud.size), more, event.client)
 
-    def _on_point(self, point: int | None, more: bool) -> None:
+    def _on_point(self, point: int | None, more: bool, client: Any) -> None:
         """A click on a point of the cloud: selects its segment, or belongs to the thing that is being picked."""
         if self._panel.by_clicks.value and point is not None:
-            self.model.click(point, not more)
-            self._draw()
+            self._chooser = client
+            self._change(lambda: self.model.click(point, not more))
         else:
-            self._choose(None if point is None else int(self.model.table[self.model.parts.of_point[point]]), more)
+            segment = None if point is None else int(self.model.table[self.model.parts.of_point[point]])
+            self._choose(segment, more, client)
 
     def _on_hover(self, client: Any, place: list[float]) -> None:
         """Lights up what is under the mouse, which rests at a place of the canvas, [2] shares; []: it is elsewhere."""
@@ -284,15 +282,16 @@ class Viewer:
         if self._chooser not in (None, client):
             raise ValueError("another page has chosen what is selected: select here what you mean, and try again")
 
-    def _choose(self, segment: int | None, more: bool) -> None:
+    def _choose(self, segment: int | None, more: bool, client: Any) -> None:
         """Selects a segment; with shift, adds it to the selection or removes it. None clears the selection."""
         before = self.model.selected
         if not (more or self._panel.several.value):
-            self._select(() if segment is None else (segment,))
+            self._select(() if segment is None else (segment,), client)
         elif segment is not None:
-            self._select(tuple(s for s in before if s != segment) if segment in before else (*before, segment))
+            self._select(tuple(s for s in before if s != segment) if segment in before else (*before, segment), client)
 
-    def _select(self, segments: tuple[int, ...]) -> None:
+    def _select(self, segments: tuple[int, ...], client: Any) -> None:
+        self._chooser = client
         self._change(lambda: self.model.select(segments))
         frames = [index for index, _ in self.model.measures.frames_of(segments[0])] if len(segments) == 1 else []
         if frames and self._frame_index() not in frames:
@@ -312,11 +311,7 @@ class Viewer:
         self._say(f"{found}; not written to OUT, nor corrected: run `segment` with --set to write this")
 
     def _on_view(self, action: str, client: Any) -> None:
-        if action == RESET:
-            self._eyes.show_all(client, self.result.scene)
-        else:
-            self._chooser = client
-            self._select(())
+        self._eyes.show_all(client, self.result.scene) if action == RESET else self._select((), client)
 
     def _on_frame(self) -> None:
         self._draw_image()
@@ -362,8 +357,8 @@ class Viewer:
         assert self._shown.text_encoder is not None  # without it there is no button
         query = self._shown.text_encoder(self._panel.words.value)
         best = self.model.find(query, 1)  # raises before the list is made of it
-        self._query, self._chooser = query, client
-        self._select(tuple(segment for segment, _ in best))
+        self._query = query
+        self._select(tuple(segment for segment, _ in best), client)
 
     def _on_save(self) -> None:
         assert self.folder is not None  # without a folder there is no button

@@ -42,14 +42,11 @@ def superpoints_of_clicks(parts: Parts, edits: Edits, clicks: Sequence[Click]) -
         return np.flatnonzero(table == segments)
     points = ([one.point for one in clicks if one.belongs == of] for of in (True, False))
     on, off = (torch.tensor(each, dtype=torch.int64) for each in points)
-    return _at_level(parts.result, edits.granularity).pick(on, negative=off).superpoints.numpy()
-
-
-def _at_level(result: Result, level: float | None) -> Result:
-    """The result whose labels and default level are the shown ones."""
-    if result.hierarchy is None or level is None:
-        return result
-    return replace(result.at(level), hierarchy=replace(result.hierarchy, default=result.hierarchy.height_of(level)))
+    result, level = parts.result, edits.granularity
+    if result.hierarchy is not None and level is not None:  # its labels and default level become the shown ones
+        default = result.hierarchy.height_of(level)
+        result = replace(result.at(level), hierarchy=replace(result.hierarchy, default=default))
+    return result.pick(on, negative=off).superpoints.numpy()
 
 
 Bytes = npt.NDArray[np.uint8]
