@@ -448,10 +448,11 @@ class JointSegmenter(nn.Module):
         """Adds the evidence of another segmenter, which saw other frames of the same cloud with the same config.
 
         Raises:
-            ValueError: another config or cloud, or both segmenters saw a frame of the same name.
+            ValueError: another config, cloud, or kind of networks, or both segmenters saw a frame of the same name.
         """
-        if other.config != self.config:
-            raise ValueError("other: expected a segmenter with the same config")
+        own, came = ([type(part).__qualname__ for part in one.image_segmenter.modules()] for one in (self, other))
+        if other.config != self.config or own != came:
+            raise ValueError("other: expected a segmenter with the same config and networks")
         if self._graph is None or other._graph is None or not self._graph.is_same(other._graph):
             raise ValueError("other: expected a segmenter that was reset with the same points and colours")
         both = set(filter(None, self.state.observations.names)) & set(other.state.observations.names)
