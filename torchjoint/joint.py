@@ -334,7 +334,7 @@ class JointSegmenter(nn.Module):
         """Adds the evidence of one or several frames (steps 1, 2, 4, 5).
 
         The image modules process consecutive frames of the same size as one batch. A frame that is given twice counts
-        twice.
+        twice; an interruption (Ctrl-C) may leave a part of their evidence: reset after it.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
