@@ -449,6 +449,8 @@ class TestEdges:
             first.merge(second)
         with pytest.raises(ValueError, match="same config"):
             first.merge(tj.JointSegmenter(PAPER))
+        with pytest.raises(ValueError, match="same config and networks"):
+            first.merge(tj.JointSegmenter(CONFIG, boundary=torch.nn.Identity()))
         second.reset(synthetic.scene.points)
         for segmenter in (first, second):
             segmenter.update(synthetic.scene.frames[0])

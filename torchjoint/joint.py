@@ -334,7 +334,7 @@ class JointSegmenter(nn.Module):
         """Adds the evidence of one or several frames (steps 1, 2, 4, 5).
 
         The image modules process consecutive frames of the same size as one batch. A frame that is given twice counts
-        twice.
+        twice; an interruption (Ctrl-C) may leave a part of their evidence: reset after it.
 
         Raises:
             RuntimeError: :meth:`reset` was not called before.
@@ -448,10 +448,11 @@ class JointSegmenter(nn.Module):
         """Adds the evidence of another segmenter, which saw other frames of the same cloud with the same config.
 
         Raises:
-            ValueError: another config or cloud, or both segmenters saw a frame of the same name.
+            ValueError: another config, cloud, or kind of networks, or both segmenters saw a frame of the same name.
         """
-        if other.config != self.config:
-            raise ValueError("other: expected a segmenter with the same config")
+        own, came = ([type(part).__qualname__ for part in one.image_segmenter.modules()] for one in (self, other))
+        if other.config != self.config or own != came:
+            raise ValueError("other: expected a segmenter with the same config and networks")
         if self._graph is None or other._graph is None or not self._graph.is_same(other._graph):
             raise ValueError("other: expected a segmenter that was reset with the same points and colours")
         both = set(filter(None, self.state.observations.names)) & set(other.state.observations.names)

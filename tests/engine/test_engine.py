@@ -212,6 +212,15 @@ def test_an_executor_of_any_kind():
     assert isinstance(outcomes[1].error, ZeroDivisionError)
 
 
+def test_a_worker_of_another_version_gives_no_value(monkeypatch):
+    """Its results were those of its version, and counted as those of the first process's."""
+    asked = iter(["1.0", "0.9"])  # here, and in the worker
+    monkeypatch.setattr("torchjoint.engine.engine.version", lambda _: next(asked))
+    with Answering({}) as executor, open_engine(executor, torch.get_num_threads()) as engine:
+        (outcome,) = engine.run(partial(divmod, 7), [5])
+    assert str(outcome.error) == "engine: expected a worker with torchjoint 1.0, got 0.9"
+
+
 def test_a_cut_connection_and_a_worker_that_dies():
     errors = {1: ConnectionError(), 2: KilledWorker("one"), 4: KilledWorker("two"), 5: KilledWorker("three")}
     with Answering(errors) as executor, open_engine(executor, torch.get_num_threads()) as engine:

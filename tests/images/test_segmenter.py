@@ -1,5 +1,7 @@
 """Networks of the caller's: run in evaluation mode, and given back in the modes in which they came."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -63,6 +65,30 @@ def test_also_after_an_error(scene, role):
     with pytest.raises(KeyError, match="in the network"):
         tj.JointSegmenter(**{role: network})(scene)
     assert network.modes() == FOUND
+
+
+def test_threads_share_a_network(scene):
+    """The first one to end set the network of the others to training mode, which also changed its statistics."""
+    network, runs = Network(ROLES["boundary"]), []
+
+    def output(images):
+        runs.append(threads.submit(segmenter.detect, [scene.frames[1]], Stopwatch())) if not runs else None
+        time.sleep(0.2)  # the other one begins, if it does not wait
+        return ROLES["boundary"](images)
+
+    network.output = output
+    segmenter = ImageSegmenter(tj.Config(), boundary=network)
+    with ThreadPoolExecutor() as threads:
+        segmenter.detect([scene.frames[0]], Stopwatch())
+        runs[0].result()
+    assert network.ran_in == 2 * [dict.fromkeys(FOUND, False)]
+    assert network.modes() == FOUND
+    assert not network.norm.running_mean.any()
+
+
+def test_a_detector_of_no_parts_is_used():
+    """A list of modules without a member is false."""
+    assert type(ImageSegmenter(tj.Config(), boundary=nn.ModuleList()).boundary) is nn.ModuleList
 
 
 def test_a_network_in_eval_mode_stays_there():

@@ -131,6 +131,20 @@ def test_what_is_done_is_skipped(done, scans):
     assert (out / "summary.csv").read_text() == before
 
 
+def test_a_result_that_others_write_meanwhile_is_no_success(done, scans, tmp_path):
+    """A result of other parameters, which `segment` wrote while the batch worked, counted as one of the batch."""
+
+    class LateExecutor(HereExecutor):
+        def submit(self, *arguments):
+            shutil.copytree(done[0] / "a", tmp_path / "a")
+            return super().submit(*arguments)
+
+    report = tj.batch(scans / "a", tmp_path, engine=LateExecutor(), config=QUICK)
+    assert not report.reports
+    assert "got that of" in report.failures["a"]
+    assert "other options or models" in report.failures["a"]
+
+
 def test_a_table_tells_of_lost_files_and_what_was_told(scene_of, tmp_path):
     cloud = write_scans(tmp_path / "scans", scene_of(2)) / "a" / "cloud.ply"
     cloud.write_bytes(cloud.read_bytes().replace(b"element", b"comment unit: mm\nelement", 1))

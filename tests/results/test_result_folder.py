@@ -460,3 +460,13 @@ def test_a_result_of_a_program_is_saved(scene, result, tmp_path):
     assert (again.num_point_segments, len(again.images), again.segment_names) == (1, 0, {})
     again.save(tmp_path / "copy")  # of what was read
     assert torch.equal(tj.load_result(tmp_path / "copy").points, again.points)
+
+
+def test_labels_of_other_points_or_frames_are_not_saved(scene, result, tmp_path):
+    """`replace(result, scene=...)` saved the labels beside points in another order."""
+    own, order = tj.Result.of(result, scene), torch.arange(len(scene.points)).flip(0)
+    turned = dataclasses.replace(scene, frames=[*scene.frames][::-1])
+    for other in (scene.select_points(order), scene.select_points(order > 9), turned):
+        with pytest.raises(ValueError, match="scene: expected"):
+            dataclasses.replace(own, scene=other).save(tmp_path / "out")
+    assert not [*tmp_path.iterdir()]

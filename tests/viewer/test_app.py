@@ -1,5 +1,6 @@
 """The viewer's page as an object: two of them on one result, and the end of a program that opened one."""
 
+import re
 import shutil
 import signal
 import subprocess
@@ -20,6 +21,7 @@ import torch
 
 import torchjoint as tj
 from torchjoint.results.edits import Edit, read_edits
+from torchjoint.results.shared_edits import save_edits
 from torchjoint.viewer.shown import Shown
 
 viser = pytest.importorskip("viser", reason="the viewer needs viser: pip install 'torchjoint[viewer]'")
@@ -100,10 +102,45 @@ def test_corrections_are_saved_as_they_are_made(out, tmp_path, monkeypatch):
     viewer._guarded(viewer._change, lambda: viewer.model.name("couch"))
     assert [step.name for step in read_edits(folder, count).steps] == ["couch"]
     assert told[-1] == "damaged image"
-    viewer._can_save = False  # what is shown is not what is in the folder
-    viewer._guarded(viewer._change, lambda: viewer.model.name("lamp"))
-    assert [step.name for step in read_edits(folder, count).steps] == ["couch"]
     viewer.stop()
+
+
+def test_other_parameters_cannot_be_corrected(out, tmp_path):
+    """Corrections of what `Compute again` shows were lost, also if it was computed with the parameters of OUT."""
+    folder = shutil.copytree(out, tmp_path / "out")
+    result = tj.load_result(folder, edits=False)
+    run = SimpleNamespace(parameters={}, compute=lambda _: result)
+    viewer = app.Viewer(result, Shown(folder, run), page=Page(port=8990))
+    viewer.model.select((int(viewer.model.table[0]),))
+    typed(viewer, "sofa")
+    controls = [getattr(viewer._panel, name) for name in ("name", "correct", "save", "by_clicks")]
+    assert all(one.visible for one in controls)
+    viewer._guarded(viewer._on_parameters)
+    assert [one.visible for one in (*controls, viewer._panel.keep)] == [False, False, False, True, False]
+    controls[3].value = True
+    assert not viewer._panel.keep.visible
+    assert [step.name for step in read_edits(folder, viewer.model.parts.count).steps] == ["sofa"]
+    assert viewer.not_kept() == ""
+    viewer.stop()
+
+
+def test_what_others_save_while_a_run_ends_is_kept(out, tmp_path, monkeypatch):
+    """What came after the corrections were read, and before they were read again, counted as undone here."""
+    folder = shutil.copytree(out, tmp_path / "out")
+    result = tj.load_result(folder, edits=False)
+    viewer = app.Viewer(result, Shown(is_running=True), page=Page(port=8990))
+    viewer.model.select((int(viewer.model.table[0]),))
+    typed(viewer, "sofa")
+    theirs, take_names = Edit("join", (0, 1)), app.Model.take_names
+
+    def saved_meanwhile(model, *arguments):
+        save_edits(folder, replace(edits := read_edits(folder, model.parts.count), steps=(theirs,)), edits, model.parts)
+        take_names(model, *arguments)
+
+    monkeypatch.setattr(app.Model, "take_names", saved_meanwhile)
+    viewer.replace(result, Shown(folder))
+    viewer.stop()
+    assert [step.kind for step in read_edits(folder, viewer.model.parts.count).steps] == ["join", "name"]
 
 
 def typed(viewer, text, page=None):
@@ -121,6 +158,22 @@ def test_names_of_a_run_are_saved_with_its_result(out, tmp_path):
     viewer.replace(result, Shown(folder))  # of the same superpoints, as of method paper
     viewer.stop()
     assert [step.name for step in read_edits(folder, viewer.model.parts.count).steps] == ["sofa\\x1b[2J\\x9b\t"]
+
+
+def test_a_click_in_the_table_of_an_earlier_result(out):
+    """While a run went on, it chose what had the same id in the result that came meanwhile."""
+    whole, order = tj.load_result(out, edits=False), np.random.default_rng(0).permutation
+    result = tj.Result.of(tj.Segmentation(whole.points, ()), tj.Scene(whole.scene.points))
+    viewer = app.Viewer(result, Shown(is_running=True), page=Page(port=8990))
+    others = torch.from_numpy(order(result.num_point_segments))
+    for row in re.findall(r'data-key="(\d+)".*?</span>(\d+)', before := viewer._panel.table.content):
+        viewer.replace(replace(result, points=others[result.points]))
+        viewer._on_event(f"torchjoint:row {row[0]} 0 1", object())
+        (lit,) = viewer.model.selected
+        assert set(result.points[viewer.model.table[viewer.model.parts.of_point] == lit].tolist()) == {int(row[1])}
+        others = torch.from_numpy(order(result.num_point_segments))
+    assert viewer._panel.table.content != before
+    viewer.stop()
 
 
 def test_what_is_typed_while_a_name_is_saved_stays(out, tmp_path, monkeypatch):
@@ -197,6 +250,12 @@ def test_what_a_page_does_goes_to_no_thing_of_another(out, tmp_path, monkeypatch
         clients[0] = {1: object()}
     typed(viewer, "bed", object())
     assert "bed" in viewer.model.names.values()
+    viewer._on_event(f"torchjoint:row {viewer.model.key(mine)} 0 4", pages[0])
+    viewer._guarded(viewer._on_view, "Clear selection", pages[1])
+    viewer._guarded(viewer._on_correct, "Undo", pages[0])
+    assert told[-1] == told[0]
+    viewer._guarded(viewer._on_correct, "Undo", pages[1])
+    assert told[-1] == "undone: name 'bed'"
     viewer.stop()
 
 
@@ -299,7 +358,7 @@ def test_a_click_at_the_edge_of_the_photo_stays_at_that_edge(out, monkeypatch):
     superpoints, chosen = np.full((4, 6), -1), []
     superpoints[0, 0] = 3
     monkeypatch.setattr(type(viewer.model.parts), "image", lambda *_: superpoints)
-    monkeypatch.setattr(viewer, "_on_point", lambda point, _: chosen.append(point))
+    monkeypatch.setattr(viewer, "_on_point", lambda point, *_: chosen.append(point))
     for place in ("-1 -1", "-9 0", "5 3", "99 99", f"{10**30} 0"):
         viewer._on_event(f"torchjoint:image {place} 0 1", None)
     middle = viewer.model.parts.middle(3)
@@ -312,7 +371,7 @@ def test_the_photo_goes_to_a_frame_that_sees_the_selected(out, monkeypatch):
     seen = {0: [(2, 9), (1, 5)], 1: [(1, 8), (2, 3)], 2: []}
     monkeypatch.setattr(viewer.model.measures, "frames_of", lambda segment: seen.get(segment, []))
     monkeypatch.setattr(viewer.model, "select", lambda segments: None)
-    shown = [(viewer._select(segments), viewer._frame_index())[1] for segments in ((), (2,), (0,), (1,))]
+    shown = [(viewer._select(segments, None), viewer._frame_index())[1] for segments in ((), (2,), (0,), (1,))]
     assert shown == [0, 0, 2, 2]
     viewer.stop()
 
@@ -391,7 +450,7 @@ def test_a_page_that_closes_at_a_photo_leaves_no_small_points(out):
     viewer.stop()
 
 
-def test_what_is_not_kept_is_told_when_the_program_ends(out, tmp_path, capsys):
+def test_what_is_not_kept_is_told_when_the_program_ends(out, tmp_path, capsys, monkeypatch):
     folder = shutil.copytree(out, tmp_path / "out")
     viewer = opened(folder, 8990)
     assert viewer.not_kept() == ""
@@ -399,7 +458,7 @@ def test_what_is_not_kept_is_told_when_the_program_ends(out, tmp_path, capsys):
     assert viewer.not_kept() == "level 0.7, which Save the level keeps"
     viewer._guarded(viewer._on_save)
     assert viewer.not_kept() == ""
-    viewer._can_save = False  # other parameters
+    monkeypatch.setattr(app, "save_edits", lambda *_: (_ for _ in ()).throw(PermissionError("read-only")))
     viewer._guarded(viewer._change, lambda: (viewer.model.select((0,)), viewer.model.name("sofa")))
     _end(weakref.ref(viewer.page))
     assert capsys.readouterr().out == "not kept: corrections after those in edits.json\n"

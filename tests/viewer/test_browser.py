@@ -189,7 +189,7 @@ def visible_segments(viewer):
     """Segments with a place to click, largest first."""
     model = viewer.model
     found = places(viewer, model.table[model.parts.of_point])
-    segments = [model.segment_of_key(row.key) for row in model.rows()[0]]
+    segments = [model.segment_of_hue(row.hue) for row in model.rows()[0]]
     return [(segment, found[segment]) for segment in segments if segment in found]
 
 
@@ -366,7 +366,7 @@ def test_relations_are_lines_of_the_selected_thing(viewer, page):
     everything = len(viewer._relations._handle.points)
     wait(lambda: (np.abs(pixels(page) - before).max(2) > 40).sum() > 200)
     segment = visible_segments(viewer)[0][0]
-    viewer._guarded(viewer._select, (segment,))
+    viewer._guarded(viewer._select, (segment,), None)
     of_one = viewer._relations._handle
     own = viewer.result.scene.points.numpy()[viewer.model.table[viewer.model.parts.of_point] == segment].mean(0)
     at_it = np.isclose(of_one.points, own, atol=1e-4).all(2).any(1)
@@ -582,8 +582,8 @@ def test_the_photo_is_behind_the_points_until_the_view_turns(viewer, page):
     assert viewer._eyes.standing
     assert viewer._cloud._handles[0].point_size < 0.5 * viewer._cloud._whole[0]
     wait(lambda: (pixels(page)[200:450, 50:530].min(2) > 250).mean() < 0.02)  # no white between the points
-    segment = viewer.model.segment_of_key(viewer.model.rows()[0][0].key)
-    viewer._guarded(viewer._select, (segment,))  # the faded others would hide the photo
+    segment = viewer.model.segment_of_hue(viewer.model.rows()[0][0].hue)
+    viewer._guarded(viewer._select, (segment,), None)  # the faded others would hide the photo
     assert sum(len(handle.points) for handle in viewer._cloud._handles.values()) == viewer.model.row(segment).points
     page.mouse.move(300, 300)
     page.mouse.down()
@@ -602,13 +602,13 @@ def test_a_phone_in_the_dark(phone, viewer, monkeypatch):
         on_event(event, client) if dropped else dropped.append(event)
 
     monkeypatch.setattr(viewer, "_on_event", drop_first)
-    viewer._guarded(viewer._select, (0,))
+    viewer._guarded(viewer._select, (0,), None)
     page.goto(viewer.page.url)
     wait(lambda: camera(viewer) is not None)
     wait(lambda: viewer.model.pale < 100)
     faded = viewer.model.table[viewer.model.parts.of_point] != 0
     wait(lambda: viewer._cloud._colors[faded].max() < 100)  # what was selected before, too
-    viewer._guarded(viewer._select, ())
+    viewer._guarded(viewer._select, (), None)
     assert "dark" in dropped[0]
     assert page.title().endswith("- torchjoint")
     wait(lambda: not page.get_by_role("button", name="Join").is_visible())  # closed: the cloud has the page

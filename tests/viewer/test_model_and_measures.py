@@ -38,7 +38,7 @@ def model(result):
 
 
 def largest(model, count=2):
-    return [model.segment_of_key(row.key) for row in model.rows()[0][:count]]
+    return [model.segment_of_hue(row.hue) for row in model.rows()[0][:count]]
 
 
 def keys_of_points(model):
@@ -586,7 +586,7 @@ def test_the_table_sorts_and_searches(model, result):
     seen = [row.frames for row in model.rows(order="frames")[0]]
     assert seen == sorted(seen, reverse=True)
     assert seen[0] == max(sum(bool((i == k).any()) for i in result.images) for k in range(count))
-    model.select((model.segment_of_key(2),))
+    model.select((model.segment_of_hue(2),))
     model.name("Mug")
     assert [row.key for row in model.rows("mug")[0]] == [2]
     assert model.rows(order="name")[0][0].key == 2

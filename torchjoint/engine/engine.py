@@ -22,6 +22,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -131,7 +132,7 @@ class Engine:
 
     def _submit(self, function: Callable[[T], R], item: T) -> Future[Answer]:
         try:
-            return self.executor.submit(call, function, item, self.threads)
+            return self.executor.submit(call, function, item, self.threads, version("torchjoint"))
         except BrokenExecutor as error:
             raise WorkerDied(f"engine {self.name}: a worker died, and it takes no more tasks; open another") from error
 
@@ -171,9 +172,11 @@ class Answer(NamedTuple):
     error: Exception | None = None
 
 
-def call(function: Callable[[Any], Any], item: Any, threads: int) -> Answer:
+def call(function: Callable[[Any], Any], item: Any, threads: int, expected: str) -> Answer:
     """Runs a task on `threads` threads. Returns an error of the task, so that only errors of the engine are raised."""
     try:
+        if (own := version("torchjoint")) != expected:
+            raise ValueError(f"engine: expected a worker with torchjoint {expected}, got {own}")
         torch.set_num_threads(threads)
         return Answer(function(item))
     except (Exception, SystemExit) as error:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from threading import RLock
 from typing import NamedTuple
 
 import torch
@@ -16,7 +17,8 @@ from torchjoint.runtime.messages import Stopwatch
 from torchjoint.runtime.threads import parallel_map
 from torchjoint.scene import Frame, Masks
 from torchjoint.scene.checks import as_labels
-from torchjoint.scene.masks import as_masks
+
+_lock = RLock()
 
 
 @contextmanager
@@ -24,15 +26,16 @@ def eval_mode(module: nn.Module) -> Iterator[None]:
     """Sets a module and all its parts to evaluation mode inside a block, and restores their modes afterwards.
 
     In training mode the output would depend on the batches of frames. The old modes are restored because the module
-    belongs to the caller.
+    belongs to the caller. One thread is in such a block at a time: they may share parts, whose modes would mix.
     """
-    before = [(part, part.training) for part in module.modules()]
-    module.eval()
-    try:
-        yield
-    finally:
-        for part, training in before:
-            part.training = training
+    with _lock:
+        before = [(part, part.training) for part in module.modules()]
+        module.eval()
+        try:
+            yield
+        finally:
+            for part, training in before:
+                part.training = training
 
 
 #: Least mean of colours. The data that the model was trained on have 0.3 to 0.55.
@@ -91,7 +94,7 @@ class ImageSegmenter(nn.Module):
     ) -> None:
         super().__init__()
         self.config = config
-        self.boundary = boundary or make_boundary(config.boundary, allow_import)
+        self.boundary = make_boundary(config.boundary, allow_import) if boundary is None else boundary
         self.segmenter = segmenter
 
     def forward(self, frames: Sequence[Frame], stopwatch: Stopwatch) -> list[ImageSegments]:
@@ -139,10 +142,7 @@ class ImageSegmenter(nn.Module):
         if len(output) != len(images):
             raise ValueError(f"image_segmenter's output: expected {len(images)} images, got {len(output)}")
         name = "image_segmenter's output"
-        return [
-            as_masks(segments, size, name=name) if isinstance(segments, Masks) else as_labels(segments, size, name)
-            for segments in output
-        ]
+        return [one.resized(size) if isinstance(one, Masks) else as_labels(one, size, name) for one in output]
 
     def _segment(self, frames: Sequence[Frame], given: Sequence[Given], boundaries: Tensor) -> list[ImageSegments]:
         def segment(job: tuple[Frame, Given, Tensor]) -> ImageSegments:

@@ -80,6 +80,8 @@ def run_scene(job: Job, scene: tuple[str, Path]) -> SceneReport:
                 if time.monotonic() > end:
                     raise
                 time.sleep(POLL_INTERVAL)
+        else:
+            check_origin(job, name, path)  # the result of another worker, or of another program
     told = tuple(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning)))
     return report_of(out, peak_memory(), told)
 

@@ -206,10 +206,6 @@ def _is_left(path: Path) -> bool:
     return any(fnmatch(path.name, name) for name in _LEFT) and not (path.is_dir() or is_filled_lock)
 
 
-def _is_part(path: Path) -> bool:
-    return _is_left(path) or any(fnmatch(path.name, part) for part in (*PARTS, COMPLETE))
-
-
 def _others(path: Path, frames: set[str]) -> Iterator[Path]:
     """What is in a part of a result, and not of one of its frames, if they are known."""
     for one in path.iterdir() if path.is_dir() and not path.is_symlink() else ():
@@ -230,7 +226,8 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
         raise FileExistsError(f"{out}: expected a result of torchjoint, which has a run.yaml; it is not overwritten")
     frames = {Path(name).stem for name in listed_files(out)}
     for path in (out / name for name in outputs.entries(places.seen())):
-        if other := path if not _is_part(path) else next(_others(path, frames), None):
+        is_part = _is_left(path) or any(fnmatch(path.name, part) for part in (*PARTS, COMPLETE))
+        if other := next(_others(path, frames), None) if is_part else path:
             raise FileExistsError(f"{other}: is of no result of torchjoint; move or delete it, then start again")
     for folder in (out, *filter(Path.is_dir, out.iterdir())):
         if not os.access(folder, os.W_OK | os.X_OK):  # else the earlier result could not be moved, or not be deleted
@@ -240,6 +237,7 @@ def _check_replaceable(places: _Places, overwrite: bool) -> None:
 @on_cpu()
 def save_result(folder: Path, result: Result, overwrite: bool) -> None:
     """See :meth:`torchjoint.Result.save`."""
+    Result.of(result, result.scene)  # raises if others took the place of its points or frames
     parts = Parts(result)
     same = (one / 100 for one in (50, *range(101)) if (parts.level(one / 100) == parts.level(None)).all())
     for one, name in result.segment_names.items():

@@ -288,8 +288,7 @@ def merged_steps(before: Steps, theirs: Steps, own: Steps) -> Steps:
     """
     of_theirs, of_own = _common(before, theirs), _common(before, own)
     added = tuple(one for one in theirs[of_theirs:] if one in own or one not in before[of_theirs:])
-    own_added = own[of_own:]
-    return (*before[: min(of_theirs, of_own)], *added, *own_added[_common(added, own_added) :])
+    return (*before[: min(of_theirs, of_own)], *added, *own[of_own + _common(added, own[of_own:]) :])
 
 
 def _common(one: Steps, other: Steps) -> int:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ class Viewer:
         self.model = Model(result, self._saved, up_direction(result.scene).numpy())
         self._chooser: Any = None  # the page that chose what is selected; others may still mean something else
         self._lock = FairLock()  # viser calls the functions below on several threads
-        self._order, self._can_save = "points", True
+        self._order = "points"
         self._made = self._saved.steps  # the corrections after the last action
         self.page = page or Page()
         self.server, self.page.not_kept = self.page.server, self.not_kept
@@ -108,6 +109,7 @@ class Viewer:
             self._show(model, shown, True)
 
     def _show(self, model: Model, shown: Shown | None, has_grown: bool) -> None:
+        read = model.edits  # without names of a run, which are not saved yet
         if self._shown.is_running:
             model.take_names(self.model, has_grown)
             if shown is not None and model.waiting:
@@ -115,8 +117,7 @@ class Viewer:
         kept = (self._frame_index(), self._panel.cameras.value) if self._has_frames else ()
         self.model = model
         if shown is not None:
-            self._shown, self._saved = shown, shown.edits(model.result)
-            self._made = self._saved.steps  # names of a run may be the same steps, and are not saved yet
+            self._shown, self._saved, self._made = shown, read, read.steps
             self._add_panel(*kept)
             self._work_behind()
         self._guarded(self._draw)
@@ -217,8 +218,6 @@ class Viewer:
 
     def _on_event(self, event: str, client: Any) -> None:
         kind, *values = event.removeprefix(PREFIX).split()[:-1] or [""]  # the last word is the time
-        if kind in ("row", "image"):
-            self._chooser = client
         if kind == "sort" and values[0] in COLUMNS:
             self._order = values[0]
             self._draw_table()
@@ -230,26 +229,26 @@ class Viewer:
         elif kind == "hover":
             self._on_hover(client, [*map(float, values)])
         elif kind == "row":
-            self._choose(self.model.segment_of_key(int(values[0])), values[1] == "1")
+            self._choose(self.model.segment_of_hue(int(values[0])), values[1] == "1", client)
         elif kind == "image" and self._has_frames:
             superpoints = self.model.parts.image(self._frame_index())
             # An edge may give -1.
             column, row = np.clip([*map(int, values[:2])], 0, np.array(superpoints.shape[::-1]) - 1)
             superpoint = int(superpoints[row, column])
-            self._on_point(None if superpoint < 0 else self.model.parts.middle(superpoint), values[2] == "1")
+            self._on_point(None if superpoint < 0 else self.model.parts.middle(superpoint), values[2] == "1", client)
 
     def _on_ray(self, event: Any, more: bool) -> None:
-        self._chooser = event.client
         ray = np.array(event.ray_origin), np.array(event.ray_direction)
-        self._on_point(pick_point(self.result.scene.points.numpy(), *ray, 0.5 * self._cloud.size), more)
+        self._on_point(pick_point(self.result.scene.points.numpy(), *ray, 0.5 * self._cloud.size), more, event.client)
 
-    def _on_point(self, point: int | None, more: bool) -> None:
+    def _on_point(self, point: int | None, more: bool, client: Any) -> None:
         """A click on a point of the cloud: selects its segment, or belongs to the thing that is being picked."""
         if self._panel.by_clicks.value and point is not None:
-            self.model.click(point, not more)
-            self._draw()
+            self._chooser = client
+            self._change(lambda: self.model.click(point, not more))
         else:
-            self._choose(None if point is None else int(self.model.table[self.model.parts.of_point[point]]), more)
+            segment = None if point is None else int(self.model.table[self.model.parts.of_point[point]])
+            self._choose(segment, more, client)
 
     def _on_hover(self, client: Any, place: list[float]) -> None:
         """Lights up what is under the mouse, which rests at a place of the canvas, [2] shares; []: it is elsewhere."""
@@ -283,33 +282,36 @@ class Viewer:
         if self._chooser not in (None, client):
             raise ValueError("another page has chosen what is selected: select here what you mean, and try again")
 
-    def _choose(self, segment: int | None, more: bool) -> None:
+    def _choose(self, segment: int | None, more: bool, client: Any) -> None:
         """Selects a segment; with shift, adds it to the selection or removes it. None clears the selection."""
         before = self.model.selected
         if not (more or self._panel.several.value):
-            self._select(() if segment is None else (segment,))
+            self._select(() if segment is None else (segment,), client)
         elif segment is not None:
-            self._select(tuple(s for s in before if s != segment) if segment in before else (*before, segment))
+            self._select(tuple(s for s in before if s != segment) if segment in before else (*before, segment), client)
 
-    def _select(self, segments: tuple[int, ...]) -> None:
+    def _select(self, segments: tuple[int, ...], client: Any) -> None:
+        self._chooser = client
         self._change(lambda: self.model.select(segments))
         frames = [index for index, _ in self.model.measures.frames_of(segments[0])] if len(segments) == 1 else []
         if frames and self._frame_index() not in frames:
             self._panel.frame.value = frames[0]  # which draws the image
 
     def _on_parameters(self) -> None:
-        """Shows the result of other parameters; corrections that do not belong to it are dropped."""
+        """Shows the result of other parameters, which is in no folder: it cannot be corrected."""
         assert self._shown.run is not None  # without a run there are no parameters
         self._say("computing again ...", "blue")
         result = self._shown.run.compute({name: float(field.value) for name, field in self._panel.parameters.items()})
-        self._can_save = False
+        self._shown = replace(self._shown, folder=None)
+        for control in (self._panel.name, self._panel.correct, self._panel.keep, self._panel.save):
+            control.visible = False
         self.replace(result)
         self._work_behind()
         found = counted(result.num_point_segments, "segment")
-        self._say(f"{found}; not written to OUT: run `segment` with --set to write this")
+        self._say(f"{found}; not written to OUT, nor corrected: run `segment` with --set to write this")
 
     def _on_view(self, action: str, client: Any) -> None:
-        self._eyes.show_all(client, self.result.scene) if action == RESET else self._select(())
+        self._eyes.show_all(client, self.result.scene) if action == RESET else self._select((), client)
 
     def _on_frame(self) -> None:
         self._draw_image()
@@ -355,13 +357,11 @@ class Viewer:
         assert self._shown.text_encoder is not None  # without it there is no button
         query = self._shown.text_encoder(self._panel.words.value)
         best = self.model.find(query, 1)  # raises before the list is made of it
-        self._query, self._chooser = query, client
-        self._select(tuple(segment for segment, _ in best))
+        self._query = query
+        self._select(tuple(segment for segment, _ in best), client)
 
     def _on_save(self) -> None:
         assert self.folder is not None  # without a folder there is no button
-        if not self._can_save:
-            raise ValueError("save: expected the parameters of the result on disk, got others")
         self._save(self.folder)
         self._say(f"level saved with {counted(len(self._saved.steps), 'correction')}, in {self.folder / 'edits.json'}")
 
@@ -371,7 +371,7 @@ class Viewer:
         What cannot be saved, as in a folder of others, is told once, not with each movement of the camera.
         """
         before, self._made = self._made, self.model.edits.steps
-        if self.folder is not None and self._can_save and self._made not in (self._saved.steps, before):
+        if self.folder is not None and self._made not in (self._saved.steps, before):
             self._save(self.folder)
 
     def _save(self, folder: Path) -> None:

@@ -36,7 +36,7 @@ def image_html(image: Bytes, caption: str) -> str:
 
 
 def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[int]) -> str:
-    """The table of segments; a click on a row sends `row KEY SHIFT`, on a column's head `sort COLUMN`."""
+    """The table of segments; a click on a row sends `row HUE SHIFT`, on a column's head `sort COLUMN`."""
     hidden = {name for name in ("frames", "sure") if all(getattr(row, name) is None for row in rows)}
     columns = [column for column in COLUMNS if column not in hidden]
     heads = "".join(f'<th data-sort="{name}">{name}{" ▾" if name == order else ""}</th>' for name in columns)
@@ -47,7 +47,7 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
         chip = f'<span class="tj-chip" style="--hue:rgb({",".join(map(str, color))});--sure:{row.sure}"></span>'
         told = {"id": f"{chip}{row.key}", "name": escape(row.name), "points": row.points, "size": _size(row)}
         told |= {"frames": row.frames, "sure": _percent(row.sure)}
-        lines.append(f'<tr data-key="{row.key}"{lit}>{"".join(f"<td>{told[name]}</td>" for name in columns)}</tr>')
+        lines.append(f'<tr data-key="{row.hue}"{lit}>{"".join(f"<td>{told[name]}</td>" for name in columns)}</tr>')
     note = counted(count, "segment")
     note = f"{len(rows)} of {note}; search finds the others" if len(rows) < count else note
     return (
@@ -71,9 +71,9 @@ def note_html(note: str) -> str:
 
 
 def found_html(found: Sequence[tuple[Row, float]]) -> str:
-    """The things that words found, and how well they fit, best first; a click on a line sends `row KEY SHIFT`."""
+    """The things that words found, and how well they fit, best first; a click on a line sends `row HUE SHIFT`."""
     lines = (
-        f'<div data-found="{row.key}" data-key="{row.key}">'
+        f'<div data-found="{row.key}" data-key="{row.hue}">'
         f"{cosine:.2f} segment <b>{row.key}</b> {escape(row.name)}</div>"
         for row, cosine in found
     )

@@ -42,14 +42,11 @@ def superpoints_of_clicks(parts: Parts, edits: Edits, clicks: Sequence[Click]) -
         return np.flatnonzero(table == segments)
     points = ([one.point for one in clicks if one.belongs == of] for of in (True, False))
     on, off = (torch.tensor(each, dtype=torch.int64) for each in points)
-    return _at_level(parts.result, edits.granularity).pick(on, negative=off).superpoints.numpy()
-
-
-def _at_level(result: Result, level: float | None) -> Result:
-    """The result whose labels and default level are the shown ones."""
-    if result.hierarchy is None or level is None:
-        return result
-    return replace(result.at(level), hierarchy=replace(result.hierarchy, default=result.hierarchy.height_of(level)))
+    result, level = parts.result, edits.granularity
+    if result.hierarchy is not None and level is not None:  # its labels and default level become the shown ones
+        default = result.hierarchy.height_of(level)
+        result = replace(result.at(level), hierarchy=replace(result.hierarchy, default=default))
+    return result.pick(on, negative=off).superpoints.numpy()
 
 
 Bytes = npt.NDArray[np.uint8]
@@ -136,10 +133,10 @@ class Model:
         """The displayed id of a segment."""
         return int(self.measures.ids[segment])
 
-    def segment_of_key(self, key: int) -> int | None:
-        """The segment with a displayed id; None if this level has no such segment."""
+    def segment_of_hue(self, hue: int) -> int | None:
+        """The segment of a colour, which stays that of a thing when ids change; None: this level has no such one."""
         firsts = np.unique(self.table)
-        found = firsts[self.measures.ids[firsts] == key]
+        found = firsts[self.measures.hues[firsts] == hue]
         return int(found[0]) if len(found) else None
 
     # Changes
