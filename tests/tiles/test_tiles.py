@@ -22,6 +22,7 @@ from torchjoint.tiles import superpoints_of_files
 from torchjoint.tiles.plan import NARROWEST, Survey, plan_tiles, survey
 from torchjoint.tiles.stitching import matching_superpoints, stitch
 from torchjoint.tiles.tile import (
+    AT_RIM,
     OWN,
     SHARED,
     OwnLabels,
@@ -32,6 +33,8 @@ from torchjoint.tiles.tile import (
     point_type,
     read_shared,
     segment_tile,
+    split_points,
+    tile_file,
 )
 
 
@@ -508,8 +511,9 @@ def test_a_tile_tells_which_superpoints_may_go_on(tmp_path):
     records = np.zeros(3 * len(grid), point_type(False))
     records["number"], records["kind"] = np.arange(len(records)), OWN | SHARED
     records["xyz"] = (corners[:, None] + grid).reshape(-1, 3)
+    records["kind"][records["xyz"][:, 1] < -0.9] |= AT_RIM
     records.tofile(tmp_path / "one.points")
-    task = TileTask(tmp_path / "one.points", tmp_path / "one.npz", (2.0, 1.0), 1.0, zlib.crc32(records.data))
+    task = TileTask(tmp_path / "one.points", tmp_path / "one.npz", zlib.crc32(records.data))
     segment_tile(None, SuperpointsConfig(), task)
     assert read_shared(task.labels, task.checksum).whole_size.tolist() == [len(grid), len(grid), 0]
     assert not task.points.exists()
@@ -602,6 +606,34 @@ def test_each_tile_gets_the_points_within_its_buffer():
     assert [row.tolist(), tile.tolist()] == [part.tolist() for part in np.nonzero(near.T)[::-1]]
     assert (((kind & OWN) > 0) == own[row, tile]).all()
     assert (((kind & SHARED) > 0) == (near.sum(1) > 1)[row]).all()
+
+
+def test_points_of_a_tile_and_those_at_its_rim(cloud, tmp_path):
+    """Against the distance of each point to the rectangle of its tile; coordinates are those of the file."""
+    found = survey([cloud], 7.0)
+    plan = plan_tiles(found, 7.0, 1.0003, 100_000)  # no point of whole millimetres is on the line
+    split_points([cloud], found, plan, tmp_path, lambda count: None)
+    xyz = laspy.read(cloud).xyz
+    for number, tile in enumerate(plan.tiles):
+        records = np.fromfile(tile_file(tmp_path, number), point_type(found.whites is not None))
+        assert (records["xyz"] == xyz[records["number"]]).all()
+        low, high = (found.origin[:2] + found.side * np.array(end) for end in tile)
+        outside = np.maximum(low - records["xyz"][:, :2], records["xyz"][:, :2] - high).max(1)
+        assert (((records["kind"] & AT_RIM) > 0) == (outside > 0.90027)).all()
+        assert (outside > 0.90027).any()
+
+
+def test_one_tile_of_points_on_a_grid(tmp_path):
+    """Neighbours at equal distances are chosen by the last bit, which float32 had changed: other superpoints."""
+    grid = np.stack(np.meshgrid(np.arange(60), np.arange(60)), -1).reshape(-1, 2) * 0.0137
+    las = laspy.create(point_format=3)
+    las.header.scales, las.header.offsets = [1e-4] * 3, [452000.0317, 5411000.0, 0.0]
+    las.x, las.y = np.add(grid, (452310.1231, 5411220.4567)).T
+    las.z = np.floor(np.sin(grid[:, 0] * 9) * 20) / 100
+    las.write(tmp_path / "grid.las")
+    superpoints_of_files(tmp_path / "grid.las", tmp_path / "out.las")
+    expected = tj.superpoints(torch.from_numpy(laspy.read(tmp_path / "grid.las").xyz.copy()))
+    assert torch.equal(labels_of(tmp_path / "out.las"), expected)
 
 
 @pytest.mark.slow

@@ -61,8 +61,7 @@ class _Cut(NamedTuple):
     num_points: int
     white: int | None
     neighbors: list[tuple[int, int]]
-    tiles: list[tuple[tuple[float, float], int]]  #: size, metres; checksum of the points
-    buffer: float  #: metres
+    checksums: list[int]  #: of the points of each tile
 
 
 def superpoints_of_files(
@@ -131,7 +130,7 @@ def superpoints_of_files(
         made = work / "result" if cloud.is_dir() else work / "result" / out.name
         put(made, out, before, work / "replaced")  # all of them in one step
         shutil.rmtree(work)
-    return TiledCloud(cut.num_points, num_superpoints, len(cut.tiles))
+    return TiledCloud(cut.num_points, num_superpoints, len(cut.checksums))
 
 
 def is_las(path: Path) -> bool:
@@ -223,17 +222,15 @@ def _cut(files: Sequence[Path], work: Path, tile: float | None, buffer: float | 
         with atomic_write(marker) as partial:
             np.savez(
                 partial,
-                numbers=np.array([found.num_points, 65535 if found.whites else 0, plan.buffer]),
+                numbers=np.array([found.num_points, 65535 if found.whites else 0]),
                 checksums=np.array(checksums),
                 neighbors=np.array(plan.neighbors(found), np.int64).reshape(-1, 2),
-                metres=np.array([np.subtract(one.end, one.first) for one in plan.tiles]) * found.side,
             )
     with damage_is(f"{work}: damaged; remove it and start again"):
         arrays = read_archive(marker)
-        num_points, white, width = arrays["numbers"].tolist()
-        neighbors, metres = ([(one, other) for one, other in arrays[name].tolist()] for name in ("neighbors", "metres"))
-        tiles = [*zip(metres, arrays["checksums"].tolist(), strict=True)]
-        return _Cut(int(num_points), int(white) or None, neighbors, tiles, width)
+        num_points, white = arrays["numbers"].tolist()
+        neighbors = [(one, other) for one, other in arrays["neighbors"].tolist()]
+        return _Cut(num_points, white or None, neighbors, arrays["checksums"].tolist())
 
 
 def _check_disk(work: Path, num_points: int, colored: bool) -> None:
@@ -247,12 +244,12 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLik
     """Segments the tiles without labels, several at a time; a single tile is segmented in this process."""
     (work / "labels").mkdir(exist_ok=True)
     tasks = [
-        TileTask(tile_file(work / "points", number), _labels_file(work, number), size, cut.buffer, checksum)
-        for number, (size, checksum) in enumerate(cut.tiles)
+        TileTask(tile_file(work / "points", number), _labels_file(work, number), checksum)
+        for number, checksum in enumerate(cut.checksums)
         if not _labels_file(work, number).is_file()
     ]
-    with tqdm(total=len(cut.tiles), desc="segment", unit="tile", disable=hidden) as bar:
-        bar.update(len(cut.tiles) - len(tasks))
+    with tqdm(total=len(cut.checksums), desc="segment", unit="tile", disable=hidden) as bar:
+        bar.update(len(cut.checksums) - len(tasks))
         if len(tasks) <= 1 or engine == HERE:
             for task in tasks:
                 segment_tile(cut.white, config, task)
@@ -268,7 +265,7 @@ def _segment(cut: _Cut, work: Path, config: SuperpointsConfig, engine: EngineLik
 def _stitch(cut: _Cut, work: Path) -> tuple[int, Labels]:
     """Stitches the tiles; returns the number of superpoints and the labels [N], mapped from disk."""
     with damage_is(f"{work}: damaged; remove it and start again"):
-        of = [(_labels_file(work, number), checksum) for number, (_, checksum) in enumerate(cut.tiles)]
+        of = [(_labels_file(work, number), checksum) for number, checksum in enumerate(cut.checksums)]
         counts = [len(read_shared(*one).whole_size) for one in of]
         path, dtype = work / "labels.npy", np.dtype(np.uint32 if sum(counts) <= 1 << 32 else np.uint64)
         labels = np.lib.format.open_memmap(path, "w+", dtype, (cut.num_points,))

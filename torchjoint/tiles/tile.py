@@ -20,13 +20,15 @@ from torchjoint.runtime.foreign_files import read_file
 from torchjoint.tiles.plan import Plan, Survey, read_points
 
 Array = npt.NDArray[Any]
-#: Bits of `kind`: the point belongs to this tile; the point is also in other tiles.
-OWN, SHARED = 1, 2
+#: Bits of `kind`: the point belongs to this tile; it is also in other tiles; it is in the outer part of the buffer.
+OWN, SHARED, AT_RIM = 1, 2, 4
+#: Width of that part, in buffers. A superpoint that reaches it may continue outside of the buffer.
+RIM = 0.1
 
 
 def point_type(colored: bool) -> np.dtype[Any]:
-    """The type of a point in a tile's file: number in the cloud, metres from the tile's corner, bits, colour."""
-    fields: list[Any] = [("number", "<i8"), ("xyz", "<f4", 3), ("kind", "u1")]
+    """The type of a point in a tile's file: number in the cloud, coordinates of the cloud, bits, colour."""
+    fields: list[Any] = [("number", "<i8"), ("xyz", "<f8", 3), ("kind", "u1")]
     return np.dtype([*fields, ("rgb", "<u2", 3)] if colored else fields)
 
 
@@ -46,15 +48,18 @@ def split_points(
         folder: an empty folder.
         progress: is called with the number of points of each part.
     """
-    corners = np.array([tile.first for tile in plan.tiles]) * survey.side + survey.origin[:2]
+    inside = (1 - RIM) * plan.buffer  # a superpoint is whole if it reaches at most so far outside of the tile
+    low = np.array([tile.first for tile in plan.tiles]) * survey.side + survey.origin[:2] - inside
+    high = np.array([tile.end for tile in plan.tiles]) * survey.side + survey.origin[:2] + inside
     alone, checksums = _cells_of_one_tile(survey, plan), [0] * len(plan.tiles)
     for first, points in read_points(files, survey.whites):
-        row, tile, kind = _copies(points.xyz[:, :2], survey, plan, alone)
+        xy = points.xyz[:, :2]
+        row, tile, kind = _copies(xy, survey, plan, alone)
+        kind[((xy[row] < low[tile]) | (xy[row] > high[tile])).any(1)] |= AT_RIM
         starts = np.flatnonzero(np.diff(tile, prepend=-1))
         for start, end in zip(starts, [*starts[1:], len(tile)], strict=True):
             number = int(tile[start])
-            corner = np.array([*corners[number], survey.origin[2]])
-            records = _records(points, row[start:end], kind[start:end], first, corner, survey.whites is not None)
+            records = _records(points, row[start:end], kind[start:end], first, survey.whites is not None)
             checksums[number] = zlib.crc32(records.data, checksums[number])
             with tile_file(folder, number).open("ab") as stream:
                 stream.write(records.tobytes())
@@ -96,27 +101,21 @@ def _copies(
     return row[order], tile[order], kind[order]
 
 
-def _records(points: LasPoints, row: Array, kind: Array, first: int, corner: Array, colored: bool) -> Array:
+def _records(points: LasPoints, row: Array, kind: Array, first: int, colored: bool) -> Array:
     records = np.empty(len(row), point_type(colored))
     records["number"] = first + row
-    records["xyz"] = points.xyz[row] - corner  # in float64, then rounded
+    records["xyz"] = points.xyz[row]
     records["kind"] = kind
     if colored and points.rgb is not None:
         records["rgb"] = points.rgb[row]
     return records
 
 
-#: Width of the outer part of the buffer, in buffers. A superpoint that reaches it may continue outside of the buffer.
-RIM = 0.1
-
-
 class TileTask(NamedTuple):
-    """The files and sizes that a worker needs; can be pickled."""
+    """The files that a worker needs; can be pickled."""
 
     points: Path  #: the file of the tile's points
     labels: Path  #: the file to write
-    size: tuple[float, float]  #: metres, of the tile without its buffer
-    buffer: float  #: metres
     checksum: int  #: of the file of the points
 
 
@@ -156,14 +155,11 @@ def segment_tile(white: int | None, config: SuperpointsConfig, task: TileTask) -
     points = torch.from_numpy(records["xyz"].copy())
     colors = None if white is None else torch.from_numpy(records["rgb"].astype(np.float32) / white)
     number, kind = records["number"].copy(), records["kind"].copy()
-    inside = (1 - RIM) * task.buffer  # a superpoint is whole if it reaches at most so far outside of the tile
-    xy = records["xyz"][:, :2]
-    at_rim = ((xy < -inside) | (xy > np.array(task.size) + inside)).any(1)
     del records, data
     label = superpoints(points, colors, preset=config).numpy().astype(np.int32)
     label[label < 0] = label.max() + 1  # beams without return: the dimension has no -1
     whole_size = np.bincount(label).astype(np.int32)
-    whole_size[label[at_rim]] = 0
+    whole_size[label[(kind & AT_RIM) > 0]] = 0
     own, shared = (kind & OWN) > 0, (kind & SHARED) > 0
     # The names of the arrays say of which points they are, so that another tile's file is none of this one.
     arrays = _prefixed(f"own_{task.checksum}", OwnLabels(number[own], label[own]))
