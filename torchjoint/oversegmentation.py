@@ -244,14 +244,9 @@ def _graph(cloud: Cloud, config: SuperpointsConfig) -> tuple[Tensor, Tensor, boo
     order = order_along_space(points) if table else None
     if normals is None:
         normals, oriented = estimate_normals(points, table[for_normals], order), False
-        if cloud.viewpoint is not None:
-            normals, oriented = _turned_to(cloud.viewpoint, points, normals), True
+        if cloud.viewpoint is not None:  # turned towards the sensor: a surface is seen from outside
+            x, y, z = (normals * (cloud.viewpoint - points)).unbind(1)
+            normals, oriented = torch.where(((x + y) + z < 0)[:, None], -normals, normals), True
     if edges is None:
         edges = undirected_edges(table[for_edges], order)
     return edges, normals, oriented, spacing
-
-
-def _turned_to(viewpoint: Tensor, points: Tensor, normals: Tensor) -> Tensor:
-    """Turns normals towards the sensor: a surface is seen from outside."""
-    x, y, z = (normals * (viewpoint - points)).unbind(1)
-    return torch.where(((x + y) + z < 0)[:, None], -normals, normals)

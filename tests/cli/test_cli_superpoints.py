@@ -306,6 +306,11 @@ class TestScans:
         assert len(np.load(tmp_path / "a.npy")) == 2000
         assert len(read_cloud_file(tmp_path / "scan.bin", 4).points) == 2500  # who insists gets it
 
+    def test_a_project_of_cloudcompare(self, tmp_path):
+        (tmp_path / "a.bin").write_bytes(b"CCB2" + turning().tobytes()[4:])
+        with pytest.raises(ValueError, match=r"a\.bin: expected rows of float32, got a project of CloudCompare"):
+            read_cloud_file(tmp_path / "a.bin", 5)
+
     @pytest.mark.parametrize("suffix", [".npy", ".ply"])
     def test_columns_of_another_format(self, tmp_path, suffix):
         with pytest.raises(ValueError, match="expected at least 3 columns, and a file that ends"):

@@ -49,7 +49,7 @@ def test_a_forked_process_has_one_thread():  # with more, it would wait for thre
 
 
 def can_take_it():
-    return threads.one_at_a_time.acquire(timeout=1)
+    return threads.one_at_a_time.acquire(timeout=1) and threads.one_mode_at_a_time.acquire(timeout=1)
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
@@ -57,7 +57,7 @@ def test_a_process_forked_while_a_thread_has_its_turn():
     inside, end = threading.Event(), threading.Event()
 
     def segment():
-        with threads.one_at_a_time:
+        with threads.one_at_a_time, threads.one_mode_at_a_time:
             inside.set()
             end.wait(PATIENCE)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from threading import RLock
 from typing import NamedTuple
 
 import torch
@@ -14,11 +13,9 @@ from torchjoint.images.contours import close_contours
 from torchjoint.images.pixel_graph import segment_image
 from torchjoint.runtime.groups import renumber_by_value
 from torchjoint.runtime.messages import Stopwatch
-from torchjoint.runtime.threads import parallel_map
+from torchjoint.runtime.threads import one_mode_at_a_time, parallel_map
 from torchjoint.scene import Frame, Masks
 from torchjoint.scene.checks import as_labels
-
-_lock = RLock()
 
 
 @contextmanager
@@ -26,9 +23,9 @@ def eval_mode(module: nn.Module) -> Iterator[None]:
     """Sets a module and all its parts to evaluation mode inside a block, and restores their modes afterwards.
 
     In training mode the output would depend on the batches of frames. The old modes are restored because the module
-    belongs to the caller. One thread is in such a block at a time: they may share parts, whose modes would mix.
+    belongs to the caller. One thread is in such a block at a time.
     """
-    with _lock:
+    with one_mode_at_a_time:
         before = [(part, part.training) for part in module.modules()]
         module.eval()
         try:

@@ -114,7 +114,9 @@ def write_result(
     parts before, with those of writing. manifest.json has the checksums.
     """
     start, bar = time.perf_counter(), tqdm(total=5, desc="write", unit="part", disable=not progress)
-    _remove_earlier(folder)
+    # The parts of an interrupted run go: with other parameters it may have written other files.
+    for path in (folder / part for part in PARTS if part != EDITS):  # a fused cloud's name is a pattern: it stays
+        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
     # Each part below uses all label images: they are computed once, and kept packed.
     packed = parallel_map(lambda index: pack(result.images[index]), range(len(result.images)))
     names = tuple(name or file for name, file in zip(result.names, frame_files(result.names), strict=True))
@@ -144,12 +146,6 @@ def write_result(
     parts = dict(seconds or {}) | {"write": time.perf_counter() - start}
     record["seconds"] = {part: round(value, 3) for part, value in parts.items()}
     (folder / "run.yaml").write_text(yaml.safe_dump(record, sort_keys=False))
-
-
-def _remove_earlier(folder: Path) -> None:
-    """Deletes the parts of an interrupted run: with other parameters it may have written other files."""
-    for path in (folder / part for part in PARTS if part != EDITS):  # a fused cloud's name is a pattern: it stays
-        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def read_points(folder: Path) -> PointResult:

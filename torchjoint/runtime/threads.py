@@ -34,10 +34,13 @@ R = TypeVar("R")
 
 #: Held while the warnings of a recording are caught or are errors, because that counts for all threads of a process.
 one_at_a_time = RLock()
+#: Held while modules are in evaluation mode: threads may share parts of them, whose modes would mix.
+one_mode_at_a_time = RLock()
 _workers: ContextVar[int | None] = ContextVar("torchjoint_workers", default=None)
 if hasattr(os, "register_at_fork"):  # not on Windows
     os.register_at_fork(after_in_child=lambda: torch.set_num_threads(1))
-    os.register_at_fork(after_in_child=one_at_a_time._at_fork_reinit)  # type: ignore[attr-defined]  # as in logging
+    for lock in (one_at_a_time, one_mode_at_a_time):
+        os.register_at_fork(after_in_child=lock._at_fork_reinit)  # type: ignore[attr-defined]  # as in logging
 
 
 @contextmanager

@@ -12,7 +12,6 @@ import torch
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from torchjoint.config import SuperpointsConfig
-from torchjoint.datasets.files.las import LasPoints
 from torchjoint.oversegmentation import superpoints
 from torchjoint.runtime.archives import read_archive
 from torchjoint.runtime.files import atomic_write
@@ -56,13 +55,16 @@ def split_points(
         xy = points.xyz[:, :2]
         row, tile, kind = _copies(xy, survey, plan, alone)
         kind[((xy[row] < low[tile]) | (xy[row] > high[tile])).any(1)] |= AT_RIM
+        records = np.empty(len(row), point_type(survey.whites is not None))
+        records["number"], records["xyz"], records["kind"] = first + row, points.xyz[row], kind
+        if survey.whites is not None and points.rgb is not None:
+            records["rgb"] = points.rgb[row]
         starts = np.flatnonzero(np.diff(tile, prepend=-1))
         for start, end in zip(starts, [*starts[1:], len(tile)], strict=True):
-            number = int(tile[start])
-            records = _records(points, row[start:end], kind[start:end], first, survey.whites is not None)
-            checksums[number] = zlib.crc32(records.data, checksums[number])
+            number, data = int(tile[start]), records[start:end].tobytes()
+            checksums[number] = zlib.crc32(data, checksums[number])
             with tile_file(folder, number).open("ab") as stream:
-                stream.write(records.tobytes())
+                stream.write(data)
         progress(len(points.xyz))
     return checksums
 
@@ -99,16 +101,6 @@ def _copies(
     kind = np.concatenate([kind, np.full(len(of_near), SHARED, np.uint8)])
     order = np.lexsort((row, tile)) if len(of_near) else np.argsort(tile, kind="stable")
     return row[order], tile[order], kind[order]
-
-
-def _records(points: LasPoints, row: Array, kind: Array, first: int, colored: bool) -> Array:
-    records = np.empty(len(row), point_type(colored))
-    records["number"] = first + row
-    records["xyz"] = points.xyz[row]
-    records["kind"] = kind
-    if colored and points.rgb is not None:
-        records["rgb"] = points.rgb[row]
-    return records
 
 
 class TileTask(NamedTuple):

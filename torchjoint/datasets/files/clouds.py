@@ -137,6 +137,8 @@ def read_scan(path: Path, columns: int, invalid: Invalid = "refuse", *, plausibl
     size = present(path, "a LiDAR scan").stat().st_size
     if size == 0 or size % (4 * columns):
         raise ValueError(f"{path}: expected rows of {columns} float32, {4 * columns} bytes each, got {size} bytes")
+    if np.fromfile(path, "S4", 1)[0] == b"CCB2":
+        raise ValueError(f"{path}: expected rows of float32, got a project of CloudCompare; save it as .ply there")
     rows = torch.from_numpy(np.fromfile(path, dtype="<f4").reshape(-1, columns))
     if plausible and (better := likelier_columns(rows)) is not None:
         told = f"{path}: expected rows of {columns} float32, but rows of {better} are more plausible: consecutive"
