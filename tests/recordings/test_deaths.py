@@ -255,11 +255,26 @@ def test_ray_here_after_a_cluster_that_does_not_answer(ray, monkeypatch):
 
 
 @pytest.mark.parametrize("failures", [2, 3])
-def test_ray_fails_to_start_the_process_of_a_client(failures, ray, monkeypatch):
+@pytest.mark.parametrize(
+    ("engine", "error"),
+    [
+        ("ray://127.0.0.1:9", ConnectionAbortedError("Starting Ray client server failed")),
+        ("ray:1", RuntimeError("Timed out waiting for file gcs_server_port")),
+    ],
+)
+def test_ray_fails_to_start_its_processes(engine, error, failures, ray, monkeypatch):
     """On a busy machine; it is tried three times."""
-    errors = [ConnectionAbortedError("Starting Ray client server failed")] * failures + [None]
-    monkeypatch.setattr(ray, "init", Mock(side_effect=errors))
-    fails = pytest.raises(ConnectionError, match="Starting Ray client") if failures == 3 else nullcontext()
-    with fails, open_engine("ray://127.0.0.1:9"):
+    monkeypatch.setattr(ray, "init", Mock(side_effect=[error] * failures + [None]))
+    monkeypatch.setattr(ray.util, "get_node_ip_address", lambda: "127.0.0.1")
+    fails = pytest.raises(ConnectionError, match=str(error)) if failures == 3 else nullcontext()
+    with fails, open_engine(engine):
         pass
     assert ray.init.call_count == 3
+
+
+def test_ray_that_the_caller_has_started_stays(ray, monkeypatch):
+    monkeypatch.setattr(ray, "init", Mock(side_effect=RuntimeError("Maybe you called ray.init twice by accident?")))
+    monkeypatch.setattr(ray, "shutdown", Mock())
+    with pytest.raises(RuntimeError, match="by accident"), open_engine("ray:1"):
+        pass
+    assert ray.shutdown.call_count == 0

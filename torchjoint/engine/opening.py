@@ -218,14 +218,13 @@ def _ray(closing: ExitStack, name: str, threads: int, workers: int | None, addre
         def _runtime_env_has_working_dir(self) -> bool:
             return True
 
-    options = {"log_to_driver": False, "logging_level": logging.ERROR}
     if workers is None:
-        _connect(ray, name, f"ray://{address}", options)
+        _connect(ray, name, f"ray://{address}")
         closing.callback(ray.shutdown)
     else:
         # Ray's workers import tasks by name, and find the modules that this process finds.
         with _variable("PYTHONPATH", os.pathsep.join(map(os.path.abspath, sys.path))):
-            ray.init("local", num_cpus=workers * threads, include_dashboard=False, job_config=Job(), **options)
+            _connect(ray, name, "local", num_cpus=workers * threads, include_dashboard=False, job_config=Job())
         closing.callback(ray.shutdown)
         if ray.util.get_node_ip_address() != "127.0.0.1":
             raise RuntimeError(f"engine {name}: expected to import ray first, so that no other machine reaches it")
@@ -236,15 +235,18 @@ def _ray(closing: ExitStack, name: str, threads: int, workers: int | None, addre
     return Engine(name, RayExecutor(ray, threads), slots, threads, workers)
 
 
-def _connect(ray: Any, name: str, address: str, options: dict[str, Any]) -> None:
-    """Connects to a cluster of ray. It starts a process for each client, which can fail on a busy machine."""
+def _connect(ray: Any, name: str, address: str, **options: Any) -> None:
+    """Connects to a cluster of ray, or starts one here. Both start processes, which can fail on a busy machine."""
     for others_left in (2, 1, 0):
         try:
-            ray.init(address, **options)
+            ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **options)
             return
-        except ConnectionError as error:
+        except (ConnectionError, RuntimeError) as error:
+            is_late = isinstance(error, ConnectionAbortedError) or "Timed out" in str(error)
+            if not is_late and isinstance(error, RuntimeError):
+                raise  # such as of a ray that the caller has started
             ray.shutdown()  # it would still send the calls of this process to the cluster, also those of another engine
-            if others_left == 0 or not isinstance(error, ConnectionAbortedError):
+            if others_left == 0 or not is_late:
                 raise ConnectionError(f"engine {name}: no cluster answers: {error}") from error
 
 
