@@ -431,6 +431,15 @@ def test_words_find_things(tab, out, tmp_path):
     viewer.stop()
 
 
+def cleared(viewer, page):
+    """Whether a click on "Clear selection" came in ten seconds; one was lost on a busy machine."""
+    page.get_by_role("button", name="Clear selection").click()
+    end = time.monotonic() + 10
+    while viewer.model.selected and time.monotonic() < end:
+        time.sleep(0.02)
+    return not viewer.model.selected
+
+
 def test_a_click_goes_through_a_camera(viewer, page):
     before, colorful = pixels(page), drawn(page)
     page.get_by_role("checkbox", name="Cameras").press(" ")  # the mouse on it would show its hint
@@ -450,8 +459,7 @@ def test_a_click_goes_through_a_camera(viewer, page):
     assert hits
     wait(lambda: drawn(page) < 0.7 * colorful)  # the page sees it from there, too
     for place, segment in hits:
-        page.get_by_role("button", name="Clear selection").click()
-        wait(lambda: not viewer.model.selected)
+        wait(lambda: cleared(viewer, page))
         page.mouse.click(*place)
         wait(lambda: viewer.model.selected)
         assert viewer.model.selected == (segment,)
