@@ -247,7 +247,7 @@ def _connect(ray: Any, name: str, address: str, **options: Any) -> None:
                 raise  # such as of a ray that the caller has started
             ray.shutdown()  # it would still send the calls of this process to the cluster, also those of another engine
             if others_left == 0 or not is_late:
-                raise ConnectionError(f"engine {name}: no cluster answers: {error}") from error
+                raise ConnectionError(f"engine {name}: ray does not answer: {error}") from error
 
 
 _OPENERS: dict[str, Callable[..., Engine]] = {"loky": _loky, "dask": _dask, "ray": _ray}
