@@ -4,10 +4,12 @@ import gc
 import os
 import signal
 import socket
+import stat
 import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from unittest.mock import Mock
@@ -20,6 +22,7 @@ from test_batch import HereExecutor
 
 import torchjoint as tj
 from torchjoint.engine import open_engine
+from torchjoint.engine.opening import _make_token
 
 pytestmark = [
     pytest.mark.slow,
@@ -260,6 +263,7 @@ def test_ray_here_after_a_cluster_that_does_not_answer(ray, monkeypatch):
     [
         ("ray://127.0.0.1:9", ConnectionAbortedError("Starting Ray client server failed")),
         ("ray:1", RuntimeError("Timed out waiting for file gcs_server_port")),
+        ("ray:1", Exception("The current node timed out during startup.")),
     ],
 )
 def test_ray_fails_to_start_its_processes(engine, error, failures, ray, monkeypatch):
@@ -270,6 +274,23 @@ def test_ray_fails_to_start_its_processes(engine, error, failures, ray, monkeypa
     with fails, open_engine(engine):
         pass
     assert ray.init.call_count == 3
+
+
+def test_programs_that_start_ray_at_once_have_one_token(monkeypatch, tmp_path):
+    """Which other users of the machine cannot read."""
+    path, together = tmp_path / ".ray" / "auth_token", threading.Barrier(8, timeout=60)
+    monkeypatch.setenv("HOME", str(tmp_path))
+
+    def program(_):
+        together.wait()
+        _make_token()
+        return path.read_text()
+
+    with ThreadPoolExecutor(8) as programs:
+        (token,) = set(programs.map(program, range(8)))
+    assert len(token) == 64
+    assert list(path.parent.iterdir()) == [path]
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
 def test_ray_that_the_caller_has_started_stays(ray, monkeypatch):

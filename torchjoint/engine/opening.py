@@ -3,12 +3,15 @@
 import logging
 import os
 import re
+import secrets
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import joblib
@@ -222,6 +225,7 @@ def _ray(closing: ExitStack, name: str, threads: int, workers: int | None, addre
         _connect(ray, name, f"ray://{address}")
         closing.callback(ray.shutdown)
     else:
+        _make_token()
         # Ray's workers import tasks by name, and find the modules that this process finds.
         with _variable("PYTHONPATH", os.pathsep.join(map(os.path.abspath, sys.path))):
             _connect(ray, name, "local", num_cpus=workers * threads, include_dashboard=False, job_config=Job())
@@ -235,15 +239,30 @@ def _ray(closing: ExitStack, name: str, threads: int, workers: int | None, addre
     return Engine(name, RayExecutor(ray, threads), slots, threads, workers)
 
 
+def _make_token() -> None:
+    """Makes the token that ray's processes read, if there is none.
+
+    Ray would let all users read it. And two programs that start at once would each make one, so that some processes
+    of ray read the one, some the other, or half of it; then they wait for each other in vain.
+    """
+    path = Path.home() / ".ray" / "auth_token"
+    with suppress(OSError):  # ray makes one, or tells why it cannot
+        path.parent.mkdir(exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=path.parent) as file:
+            file.write(secrets.token_hex(32))
+            file.flush()
+            os.link(file.name, path)  # fails if there is one
+
+
 def _connect(ray: Any, name: str, address: str, **options: Any) -> None:
     """Connects to a cluster of ray, or starts one here. Both start processes, which can fail on a busy machine."""
     for others_left in (2, 1, 0):
         try:
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **options)
             return
-        except (ConnectionError, RuntimeError) as error:
-            is_late = isinstance(error, ConnectionAbortedError) or "Timed out" in str(error)
-            if not is_late and isinstance(error, RuntimeError):
+        except Exception as error:
+            is_late = isinstance(error, ConnectionAbortedError) or re.match("Timed out|The current node", str(error))
+            if not is_late and not isinstance(error, ConnectionError):
                 raise  # such as of a ray that the caller has started
             ray.shutdown()  # it would still send the calls of this process to the cluster, also those of another engine
             if others_left == 0 or not is_late:
