@@ -26,7 +26,7 @@ PUBLIC = {
         DETECTORS BoundaryConfig Config ContoursConfig ImageGraphConfig ImageSegmentsConfig PaperConfig
         PointGraphConfig PointSegmentsConfig PropagationConfig RefinementConfig ScanConfig SuperpointsConfig
         VisibilityConfig evidence_config evidence_differences marked_parameters marked_table parameter_table presets
-        read_assignment read_preset read_yaml superpoint_presets superpoint_table
+        read_assignment read_preset read_yaml superpoint_table
     """,
     "torchjoint.engine": "Engine EngineLike Outcome SharedFile WorkerDied open_engine",
     "torchjoint.recordings": "BatchReport RecordingOptions batch find_recordings segment_recording",

@@ -12,7 +12,7 @@ import yaml
 
 import torchjoint as tj
 from torchjoint.cloud.mesh import face_edges, vertex_normals
-from torchjoint.config import SuperpointsConfig, superpoint_presets, superpoint_table
+from torchjoint.config import SuperpointsConfig, presets, superpoint_table
 from torchjoint.oversegmentation import SuperpointsParameters
 
 
@@ -387,10 +387,10 @@ def test_module_is_the_function():
 
 
 def test_presets(tmp_path):
-    assert set(superpoint_presets()) == {"default", "scan", "segmentator"}
-    assert set(superpoint_presets()) & set(tj.config.presets()) == {"default", "scan"}  # one vocabulary
+    assert set(presets("superpoints")) == {"default", "scan", "segmentator"}
+    assert set(presets("superpoints")) & set(presets()) == {"default", "scan"}  # one vocabulary
     assert SuperpointsConfig.from_preset("default") == SuperpointsConfig()
-    for name in superpoint_presets():
+    for name in presets("superpoints"):
         config = SuperpointsConfig.from_preset(name)
         assert f"`{name}`" in superpoint_table()
         file = tmp_path / "mine.yaml"

@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from torchjoint.runtime.groups import first_places
-from torchjoint.runtime.threads import all_threads, num_threads, parallel_map
+from torchjoint.runtime.threads import all_threads, parallel_map
 from torchjoint.scene import Cloud
 
 #: A larger rounding error of given float32 coordinates gives a warning; in units of the cloud's spacing.
@@ -52,7 +52,8 @@ def distinct_points(points: Tensor) -> Tensor | None:
     rows = points.numpy()
     blocks = range(0, len(rows), BLOCK)
     code = np.concatenate(parallel_map(lambda start: _codes(rows[start : start + BLOCK]), blocks))
-    if not _has_equal(code):
+    in_order = np.sort(code)
+    if (in_order[1:] != in_order[:-1]).all():
         return None
     rows = rows + 0.0  # -0 becomes 0
     order = np.argsort(code, kind="stable")
@@ -69,24 +70,6 @@ def distinct_points(points: Tensor) -> Tensor | None:
     of_point = np.empty(len(rows), dtype=np.int64)
     of_point[order] = number[group]
     return torch.from_numpy(of_point)
-
-
-def _has_equal(code: npt.NDArray[np.uint64]) -> bool:
-    """Whether two codes are equal. Each thread sorts the codes in a part of their range."""
-    count = num_threads() if len(code) > BLOCK else 1
-    limits = [round(2**64 / count * part) for part in range(count)]
-
-    def among(part: int) -> bool:
-        some = code
-        if count > 1:
-            is_in = code >= np.uint64(limits[part])
-            if part + 1 < count:
-                is_in &= code < np.uint64(limits[part + 1])
-            some = code[is_in]
-        in_order = torch.from_numpy(some.view(np.int64)).sort().values  # a third of numpy's time
-        return bool((in_order[1:] == in_order[:-1]).any())
-
-    return any(parallel_map(among, range(count)))
 
 
 def _codes(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.uint64]:

@@ -27,13 +27,12 @@ from torchjoint.config.stages import (
     ScanConfig,
     VisibilityConfig,
 )
-from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
+from torchjoint.config.superpoints import SuperpointsConfig
 from torchjoint.config.tables import marked_parameters, marked_table, parameter_table, superpoint_table
 
 __all__ = [
     "DETECTORS", "BoundaryConfig", "Config", "ContoursConfig", "ImageGraphConfig", "ImageSegmentsConfig", "PaperConfig",
     "PointGraphConfig", "PointSegmentsConfig", "PropagationConfig", "RefinementConfig", "ScanConfig",
     "SuperpointsConfig", "VisibilityConfig", "evidence_config", "evidence_differences", "marked_parameters",
-    "marked_table", "parameter_table", "presets", "read_assignment", "read_preset", "read_yaml", "superpoint_presets",
-    "superpoint_table",
+    "marked_table", "parameter_table", "presets", "read_assignment", "read_preset", "read_yaml", "superpoint_table",
 ]  # fmt: skip

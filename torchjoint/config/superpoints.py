@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from torchjoint.config.config import presets, read_assignment, read_preset
 from torchjoint.config.parameter import Stage, parameter
@@ -57,12 +56,12 @@ class SuperpointsConfig(Stage):
 
     @classmethod
     def from_preset(cls, name: str) -> SuperpointsConfig:
-        """Reads a preset (see :func:`superpoint_presets`), or a YAML file of your own.
+        """Reads a preset (``presets("superpoints")``), or a YAML file of your own.
 
         Raises:
             ValueError, TypeError: an unknown preset, or a bad file; the message names it.
         """
-        return read_preset(name, superpoint_presets(), cls().replace)
+        return read_preset(name, presets("superpoints"), cls().replace)
 
     def set(self, assignments: Sequence[str]) -> SuperpointsConfig:
         """A copy with command-line assignments applied: ``["scale=2", "color_weight=0.5"]``.
@@ -71,8 +70,3 @@ class SuperpointsConfig(Stage):
             ValueError, TypeError: a bad assignment, an unknown name or a bad value, by name.
         """
         return self.replace(dict(map(read_assignment, assignments)))
-
-
-def superpoint_presets() -> dict[str, Any]:
-    """The package's presets of superpoints: name -> readable resource."""
-    return presets("superpoints")

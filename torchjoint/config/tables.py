@@ -3,8 +3,8 @@
 import dataclasses
 from typing import Any
 
-from torchjoint.config.config import Config
-from torchjoint.config.superpoints import SuperpointsConfig, superpoint_presets
+from torchjoint.config.config import Config, presets
+from torchjoint.config.superpoints import SuperpointsConfig
 
 
 def marked_parameters() -> dict[str, dataclasses.Field[Any]]:
@@ -56,7 +56,7 @@ def parameter_table(stage: str | None = None) -> str:
 
 def superpoint_table() -> str:
     """All parameters of superpoints and their values in each preset as one Markdown table."""
-    configs = {name: SuperpointsConfig.from_preset(name) for name in superpoint_presets()}
+    configs = {name: SuperpointsConfig.from_preset(name) for name in presets("superpoints")}
     lines = [
         f"| parameter | {' | '.join(f'`{name}`' for name in configs)} | unit | sensible | what it does |",
         f"|---|{'---:|' * len(configs)}---|---|---|",

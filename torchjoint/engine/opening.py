@@ -223,15 +223,14 @@ def _ray(closing: ExitStack, name: str, threads: int, workers: int | None, addre
 
     if workers is None:
         _connect(ray, name, f"ray://{address}")
-        closing.callback(ray.shutdown)
     else:
         _make_token()
         # Ray's workers import tasks by name, and find the modules that this process finds.
         with _variable("PYTHONPATH", os.pathsep.join(map(os.path.abspath, sys.path))):
             _connect(ray, name, "local", num_cpus=workers * threads, include_dashboard=False, job_config=Job())
-        closing.callback(ray.shutdown)
-        if ray.util.get_node_ip_address() != "127.0.0.1":
-            raise RuntimeError(f"engine {name}: expected to import ray first, so that no other machine reaches it")
+    closing.callback(ray.shutdown)
+    if workers is not None and ray.util.get_node_ip_address() != "127.0.0.1":
+        raise RuntimeError(f"engine {name}: expected to import ray first, so that no other machine reaches it")
 
     def slots() -> int:
         return max(1, int(ray.cluster_resources().get("CPU", 0)) // threads)
