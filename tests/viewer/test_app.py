@@ -166,7 +166,7 @@ def test_a_click_in_the_table_of_an_earlier_result(out):
     result = tj.Result.of(tj.Segmentation(whole.points, ()), tj.Scene(whole.scene.points))
     viewer = app.Viewer(result, Shown(is_running=True), page=Page(port=8990))
     others = torch.from_numpy(order(result.num_point_segments))
-    for row in re.findall(r'data-key="(\d+)".*?</span>(\d+)', before := viewer._panel.table.content):
+    for row in re.findall(r'data-hue="(\d+)".*?</span>(\d+)', before := viewer._panel.table.content):
         viewer.replace(replace(result, points=others[result.points]))
         viewer._on_event(f"torchjoint:row {row[0]} 0 1", object())
         (lit,) = viewer.model.selected

@@ -243,7 +243,7 @@ def test_a_click_in_the_cloud_lights_the_segment_everywhere(viewer, page):
     wait(lambda: is_like(color_at(page, here), expected[first]))
     wait(lambda: page.get_attribute("#tj-image", "src") != image)
     open_table(page)
-    wait(lambda: "tj-lit" in (page.locator(f'tr[data-key="{row.key}"]').get_attribute("class") or ""))
+    wait(lambda: "tj-lit" in (page.locator(f'tr[data-hue="{row.hue}"]').get_attribute("class") or ""))
     # With shift a second one is added; then both become one.
     click_with_shift(page, there)
     wait(lambda: len(viewer.model.selected) == 2)
@@ -264,7 +264,7 @@ def test_a_click_in_the_image_and_in_the_table(viewer, page, tmp_path):
     wait(lambda: "seen in 0" not in panel(page))
     other = next(row.key for row in viewer.model.rows()[0] if row.key != middle)
     open_table(page)
-    page.click(f'tr[data-key="{other}"]')
+    page.click(f'tr[data-hue="{other}"]')
     wait(lambda: f"segment {other}:" in panel(page))
     page.locator("xpath=//*[text()='Name']/following::input[1]").fill("<b>mug</b>")
     wait(lambda: "<b>mug</b>" in page.inner_text("#tj-table"))  # as text
@@ -345,7 +345,7 @@ def test_the_row_of_a_selected_segment_is_in_sight(viewer, page):
     viewer._draw_lists()
     page.set_viewport_size({"width": 900, "height": 600})
     open_table(page)
-    row = page.locator(f"#tj-table tr[data-key='{rows[-1].key}']")
+    row = page.locator(f"#tj-table tr[data-hue='{rows[-1].hue}']")
     wait(lambda: "tj-lit" in (row.get_attribute("class") or ""))
 
     def window():

@@ -47,7 +47,7 @@ def table_html(rows: Sequence[Row], count: int, order: str, selected: Sequence[i
         chip = f'<span class="tj-chip" style="--hue:rgb({",".join(map(str, color))});--sure:{row.sure}"></span>'
         told = {"id": f"{chip}{row.key}", "name": escape(row.name), "points": row.points, "size": _size(row)}
         told |= {"frames": row.frames, "sure": _percent(row.sure)}
-        lines.append(f'<tr data-key="{row.hue}"{lit}>{"".join(f"<td>{told[name]}</td>" for name in columns)}</tr>')
+        lines.append(f'<tr data-hue="{row.hue}"{lit}>{"".join(f"<td>{told[name]}</td>" for name in columns)}</tr>')
     note = counted(count, "segment")
     note = f"{len(rows)} of {note}; search finds the others" if len(rows) < count else note
     return (
@@ -73,7 +73,7 @@ def note_html(note: str) -> str:
 def found_html(found: Sequence[tuple[Row, float]]) -> str:
     """The things that words found, and how well they fit, best first; a click on a line sends `row HUE SHIFT`."""
     lines = (
-        f'<div data-found="{row.key}" data-key="{row.hue}">'
+        f'<div data-found="{row.key}" data-hue="{row.hue}">'
         f"{cosine:.2f} segment <b>{row.key}</b> {escape(row.name)}</div>"
         for row, cosine in found
     )

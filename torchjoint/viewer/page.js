@@ -31,8 +31,8 @@
 
   document.addEventListener("click", (event) => {
     const more = event.shiftKey ? 1 : 0;
-    const { key, sort } = event.target.closest("[data-key], [data-sort]")?.dataset ?? {};
-    if (key) send("row", key, more);
+    const { hue, sort } = event.target.closest("[data-hue], [data-sort]")?.dataset ?? {};
+    if (hue) send("row", hue, more);
     if (sort) send("sort", sort);
     if (event.target.id !== "tj-image") return;
     const { left, top, width, height } = event.target.getBoundingClientRect();
