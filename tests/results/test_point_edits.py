@@ -72,6 +72,8 @@ def test_names_are_those_after_the_edits():
     parts = parts_of(SUPERPOINTS, STORED)
     before = Edits(4, None, (Edit("name", (1,), "chair"),))
     assert changes_of(parts, [7, 7, 7, 7, 3, 3, 3, 3], {7: "chair", 3: "", 9: "gone"}, before) == ((), 0)
+    with pytest.warns(UserWarning, match="1 empty names change nothing; the viewer removes names"):
+        assert changes_of(parts, [7, 7, 7, 7, 3, 3, 3, 3], {7: "thing", 3: ""}, before) == ((), 0)
     # The named superpoint leaves, so its segment has to be named again.
     steps, _ = changes_of(parts, [7, 7, 3, 3, 3, 3, 3, 3], {7: "chair", 3: "desk"}, before)
     assert steps == (

@@ -379,6 +379,7 @@ def test_relations_are_lines_of_the_selected_thing(viewer, page):
 def test_clicks_walk_the_tree_and_make_one_thing(viewer, page):
     (first, here), (_, there) = visible_segments(viewer)[:2]
     page.get_by_role("checkbox", name="Thing from clicks").check()
+    wait(lambda: viewer._panel.by_clicks.value)  # viser tells clicks in the cloud at once, others in up to 50 ms
     page.mouse.click(*here)
     wait(lambda: viewer.model.selected == (first,))
     page.mouse.click(*there)

@@ -88,10 +88,12 @@ def edits_of_points(parts: Parts, before: Edits, labels: ForeignLabels) -> tuple
     after = replace(before, steps=(*before.steps, *gathered))
     table, names = parts.table(after), parts.names(after)
     place = {one: parts.largest(superpoints) for one, superpoints in superpoints_of.items()}
+    known = {one: names.get(int(table[place[one]]), "").strip() for one in sorted(labels.names) if one in place}
+    _warn_of_emptied((labels.names[one], before) for one, before in known.items())
     named = [
-        Edit("name", (place[one],), name)
-        for one, name in sorted(labels.names.items())
-        if one in place and _told(name) and _told(name) != names.get(int(table[place[one]]), "").strip()
+        Edit("name", (place[one],), labels.names[one])
+        for one, before in known.items()
+        if _told(labels.names[one]) not in ("", before)
     ]
     return (*gathered, *named), int((labelled & (labels.of_point != of_superpoint[parts.of_point])).sum())
 
@@ -157,6 +159,7 @@ def edits_of_boxes(
             steps.append(Edit("join", (int(place[segment_of[holder]]), int(place[segment]))))
     empty = tuple(number for number in range(len(boxes)) if number not in segment_of)
     called = {one: _told(boxes[number].name) for number, one in segment_of.items()}
+    _warn_of_emptied((name, result.segment_names.get(one, "")) for one, name in called.items())
     names = edits_of_names(result, called, superpoint, is_text)
     return BoxEdits((*steps, *names), len(steps), len(names), empty, len(own) - len(segment_of) - len(steps))
 
@@ -179,7 +182,7 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
         text = read_text(file, "a table of segments (save it as CSV UTF-8)", bounds.JSON_BYTES)
         rows = csv.DictReader(io.StringIO(text), delimiter=max(",;", key=text.partition("\n")[0].count))
     sizes = dict(enumerate(np.bincount(result.points[result.points >= 0].numpy()).tolist()))
-    names, emptied = [], 0
+    names, emptied = [], []
     with damage_is(str(file), csv.Error):
         for number, row in enumerate(rows, 1 + (suffix == ".csv")):  # as QGIS and spreadsheets count
             if not {"id", "name", "points"} <= row.keys():
@@ -187,7 +190,7 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
             segment, points = (_count(str(row[column])) for column in ("id", "points"))
             name, before = printable(str(row["name"] or "").strip()), result.segment_names.get(segment, "").strip()
             if name in ("", before, no_formula(before)):
-                emptied += not name and segment in result.segment_names
+                emptied.append((name, before))
                 continue
             name = name[1:] if no_formula(name[1:]) == name else name  # csv_text's, before what is computed
             told = f"row {number}: {name!r}: segment {str(row['id'])[:20]}"
@@ -196,9 +199,14 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
             if sizes[segment] != points:
                 raise ValueError(f"{told}: {sizes[segment]} points, the table says {points}; export it again")
             names.append((segment, name))
-    if emptied:
-        warnings.warn(f"{file}: {emptied} empty names change nothing; the viewer removes names", stacklevel=3)
+    _warn_of_emptied(emptied)
     return dict_of(names, f"{file}: id")
+
+
+def _warn_of_emptied(names: Iterable[tuple[str, str]]) -> None:
+    """Warns if names in a file are empty; each with that of its segment."""
+    if count := sum(bool(_told(before)) and not _told(name) for name, before in names):
+        warnings.warn(f"{count} empty names change nothing; the viewer removes names", stacklevel=4)
 
 
 def _count(text: str) -> int:
