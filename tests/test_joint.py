@@ -122,6 +122,19 @@ class TestSameLabels:
                 segmenter.compute()  # at any time, and without consequence
         assert_same(result, segmenter.compute())
 
+    def test_from_the_state_of_another_one(self, synthetic, config, result):
+        """Which sees more frames meanwhile: these counted for both."""
+        scene, one, other = synthetic.scene, tj.JointSegmenter(config), tj.JointSegmenter(config)
+        for segmenter in (one, other):
+            segmenter.reset(scene.points, scene.colors)
+        one.update(scene.frames[:2])
+        other.state = one.state
+        one.update(scene.frames[2:])
+        assert len(other.state.observations) == 2
+        other.update(scene.frames[2:])
+        assert_same(result, one.compute())
+        assert_same(result, other.compute())
+
     @pytest.mark.slow
     def test_from_frames_beyond_the_memory(self, synthetic, plain, tmp_path):
         """The second and later frames are in a file: of a run at once, frame by frame, resumed, and at finer levels."""

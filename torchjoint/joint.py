@@ -243,16 +243,15 @@ class JointSegmenter(nn.Module):
             the number of frames in the state, before the first batch and after each one.
         """
         checked = self._start(_checked(scene, batch_size), resume)
-        done, total = len(self.state.observations), len(scene.frames)
-        rest = range(done, total)
+        rest = range(len(self.state.observations), len(scene.frames))
         batches = workers(self, scene) if workers else self._batches(scene.frames, rest, checked, batch_size)
-        with tqdm(total=total, initial=done, desc="frames", unit="frame", disable=not (progress and total)) as bar:
-            yield done
+        with tqdm(None, "frames", rest.stop, initial=rest.start, unit="frame", disable=not (progress and rest)) as bar:
+            yield rest.start
             for seen in batches:
                 with on_cpu():
                     self.state += seen
-                bar.update(len(self.state.observations) - done)
                 done = len(self.state.observations)
+                bar.update(done - bar.n)
                 yield done
 
     @on_cpu()
@@ -269,8 +268,7 @@ class JointSegmenter(nn.Module):
         if not done:  # an interrupted run has told it
             tell_unread(self.config, self.method)
         if done < len(scene.frames) and not self.method.uses_images:
-            if done not in checked:
-                checked[done] = scene.frames[done]
+            checked[done] = checked.get(done) or scene.frames[done]
             _warn_of_unused_inputs(checked[done], self.method)
         return checked
 
@@ -432,6 +430,8 @@ class JointSegmenter(nn.Module):
     def state(self) -> Evidence:
         """The evidence collected since :meth:`reset`; set it to resume a run with the same parameters (not compared).
 
+        It grows with further frames. What is set is copied, and does not grow with those of another segmenter.
+
         Raises:
             RuntimeError: :meth:`reset` was not called before.
             ValueError: (when set) the state belongs to another cloud.
@@ -441,7 +441,8 @@ class JointSegmenter(nn.Module):
     @state.setter
     def state(self, state: Evidence) -> None:
         self.state.check_cloud(state, "state")
-        self._state = state
+        if state is not self._state:  # as after +=
+            self._state = Evidence.empty(self.graph, self._store()) + state
 
     @on_cpu()
     def merge(self, other: JointSegmenter) -> None:

@@ -99,14 +99,18 @@ def test_depth_of_another_frame_is_told(is_chosen, tmp_path):
     assert (frames[0].depth is not None) == is_chosen
 
 
+@pytest.mark.parametrize("is_packed", [False, True])
 @pytest.mark.parametrize("is_chosen", [False, True])
-def test_grey_of_16_bits_may_be_infrared(is_chosen, tmp_path):
+def test_grey_of_16_bits_may_be_infrared(is_chosen, is_packed, tmp_path):
     """By REP 118 depth is 16UC1 or 32FC1, but some drivers say mono16."""
-    messages = list(ros.messages())
-    for topic, _, message in messages:
-        if topic == "/camera/aligned_depth":
+    messages, topic = list(ros.messages()), "/camera/aligned_depth"
+    if is_packed:
+        depth = packed(np.full((ros.HEIGHT, ros.WIDTH), 2000, np.uint16), "mono16; png compressed ")
+        messages = [*of(messages, topic), (topic, 0.1, depth)]
+    else:
+        for message in (one for name, _, one in messages if name == topic):
             message.encoding = "mono16"
-    bag, topics = ros.record(tmp_path / "bag", messages), {"depth": "/camera/aligned_depth"} if is_chosen else {}
+    bag, topics = ros.record(tmp_path / "bag", messages), {"depth": topic} if is_chosen else {}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         frames = tj.load_scene(bag, topics=topics, fuse=False).frames
