@@ -245,7 +245,8 @@ class JointSegmenter(nn.Module):
         checked = self._start(_checked(scene, batch_size), resume)
         rest = range(len(self.state.observations), len(scene.frames))
         batches = workers(self, scene) if workers else self._batches(scene.frames, rest, checked, batch_size)
-        with tqdm(None, "frames", rest.stop, initial=rest.start, unit="frame", disable=not (progress and rest)) as bar:
+        is_hidden = not (progress and rest.stop)
+        with tqdm(desc="frames", total=rest.stop, initial=rest.start, unit="frame", disable=is_hidden) as bar:
             yield rest.start
             for seen in batches:
                 with on_cpu():
@@ -441,7 +442,7 @@ class JointSegmenter(nn.Module):
     @state.setter
     def state(self, state: Evidence) -> None:
         self.state.check_cloud(state, "state")
-        if state is not self._state:  # as after +=
+        if state is not self._state:  # += sets what it has changed in place
             self._state = Evidence.empty(self.graph, self._store()) + state
 
     @on_cpu()

@@ -293,6 +293,12 @@ def test_programs_that_start_ray_at_once_have_one_token(monkeypatch, tmp_path):
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
+def test_ray_without_a_home_folder(monkeypatch):
+    monkeypatch.setattr(Path, "home", Mock(side_effect=RuntimeError("Could not determine home directory.")))
+    _make_token()
+    assert Path.home.call_count == 1
+
+
 def test_ray_that_the_caller_has_started_stays(ray, monkeypatch):
     monkeypatch.setattr(ray, "init", Mock(side_effect=RuntimeError("Maybe you called ray.init twice by accident?")))
     monkeypatch.setattr(ray, "shutdown", Mock())

@@ -52,8 +52,7 @@ def distinct_points(points: Tensor) -> Tensor | None:
     rows = points.numpy()
     blocks = range(0, len(rows), BLOCK)
     code = np.concatenate(parallel_map(lambda start: _codes(rows[start : start + BLOCK]), blocks))
-    in_order = np.sort(code)
-    if (in_order[1:] != in_order[:-1]).all():
+    if np.diff(np.sort(code)).all():
         return None
     rows = rows + 0.0  # -0 becomes 0
     order = np.argsort(code, kind="stable")

@@ -244,8 +244,8 @@ def _make_token() -> None:
     Ray would let all users read it. And two programs that start at once would each make one, so that some processes
     of ray read the one, some the other, or half of it; then they wait for each other in vain.
     """
-    path = Path.home() / ".ray" / "auth_token"
-    with suppress(OSError):  # ray makes one, or tells why it cannot
+    with suppress(OSError, RuntimeError):  # ray makes one, or tells why it cannot; it may need none
+        path = Path.home() / ".ray" / "auth_token"
         path.parent.mkdir(exist_ok=True)
         with tempfile.NamedTemporaryFile("w", dir=path.parent) as file:
             file.write(secrets.token_hex(32))

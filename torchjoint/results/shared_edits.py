@@ -182,7 +182,7 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
         text = read_text(file, "a table of segments (save it as CSV UTF-8)", bounds.JSON_BYTES)
         rows = csv.DictReader(io.StringIO(text), delimiter=max(",;", key=text.partition("\n")[0].count))
     sizes = dict(enumerate(np.bincount(result.points[result.points >= 0].numpy()).tolist()))
-    names, emptied = [], []
+    names, unchanged = [], []
     with damage_is(str(file), csv.Error):
         for number, row in enumerate(rows, 1 + (suffix == ".csv")):  # as QGIS and spreadsheets count
             if not {"id", "name", "points"} <= row.keys():
@@ -190,7 +190,7 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
             segment, points = (_count(str(row[column])) for column in ("id", "points"))
             name, before = printable(str(row["name"] or "").strip()), result.segment_names.get(segment, "").strip()
             if name in ("", before, no_formula(before)):
-                emptied.append((name, before))
+                unchanged.append((name, before))
                 continue
             name = name[1:] if no_formula(name[1:]) == name else name  # csv_text's, before what is computed
             told = f"row {number}: {name!r}: segment {str(row['id'])[:20]}"
@@ -199,12 +199,12 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
             if sizes[segment] != points:
                 raise ValueError(f"{told}: {sizes[segment]} points, the table says {points}; export it again")
             names.append((segment, name))
-    _warn_of_emptied(emptied)
+    _warn_of_emptied(unchanged)
     return dict_of(names, f"{file}: id")
 
 
 def _warn_of_emptied(names: Iterable[tuple[str, str]]) -> None:
-    """Warns if names in a file are empty; each with that of its segment."""
+    """Warns of empty names of a file, each of which comes with that of its segment."""
     if count := sum(bool(_told(before)) and not _told(name) for name, before in names):
         warnings.warn(f"{count} empty names change nothing; the viewer removes names", stacklevel=4)
 

@@ -111,8 +111,8 @@ def _find_topics(bag: Bag, poses: messages.Poses, chosen: Mapping[str, str]) -> 
     for topic in (one for one in depths if _frame(heads[one]) != frame and depth in (None, one)):
         told = f"depth of frame {_frame(heads[topic])!r}, not of the images' {frame!r}: register it to {color}"
         warnings.warn(f"{bag.path}: {topic}: {told}; --topics depth={topic} takes it as registered", stacklevel=3)
-    kind = getattr(head := heads.get(depth or ""), "encoding", getattr(head, "format", ""))
-    if "depth" not in chosen and kind.startswith("mono16"):
+    head = heads.get(depth or "")
+    if "depth" not in chosen and getattr(head, "encoding", getattr(head, "format", "")).startswith("mono16"):
         warnings.warn(f"{bag.path}: {depth}: mono16, taken as depth in millimetres: not infrared?", stacklevel=3)
     points = _only("points", bag.topics(POINTS) if depth is None else (), chosen, bag)
     best = next(filter(None, map(bag.topics, messages.ODOMETRY)), ())
