@@ -569,6 +569,23 @@ def test_the_granularity_slider_and_the_frame_slider(viewer, page):
     assert ((u > 0) & (u < 577) & (v > 0) & (v < 650)).sum() > 300
 
 
+def test_what_the_page_sends_replaces_nothing(viewer, page):
+    open_table(page)
+    hues = page.evaluate(
+        """() => {  // all of this comes within the 50 ms of which viser sends the first and the last
+            const slider = document.querySelectorAll('[role="slider"]')[1];  // the size of points
+            const press = (key) => slider.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true }));
+            const rows = [...document.querySelectorAll("#tj-table [data-hue]")].slice(0, 3);
+            press("Home");
+            press("End");
+            rows.forEach((row) => row.dispatchEvent(new MouseEvent("click", { bubbles: true, shiftKey: true })));
+            return rows.map((row) => Number(row.dataset.hue));
+        }"""
+    )
+    wait(lambda: [viewer.model.key(one) for one in viewer.model.selected] == hues)
+    assert viewer._panel.size.value == viewer._panel.size.max
+
+
 def test_what_is_under_the_mouse_is_lit_and_named(viewer, page):
     segment, place = visible_segments(viewer)[0]
     until(lambda: len(viewer._cloud._lit) == 2, lambda: rest(page, place))

@@ -3,10 +3,23 @@
 "use strict";
 (() => {
   const field = () => [...document.querySelectorAll("input")].find((one) => one.value.startsWith("torchjoint:"));
-  const send = (...words) => {
-    const line = `torchjoint:${words.join(" ")} ${Date.now()}`; // the time: two clicks in one place are two lines
-    Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(field(), line);
+  const isNew = !window.torchjoint; // else the panel was built anew
+  // Of what happens within 50 ms viser sends the first and the last. So a line waits until nothing has for 100 ms.
+  const queue = (window.torchjoint ??= { lines: [], timer: 0 });
+  const wait = () => {
+    clearTimeout(queue.timer);
+    queue.timer = setTimeout(next, 100);
+  };
+  const next = () => {
+    queue.timer = 0;
+    if (!queue.lines.length) return;
+    wait();
+    Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set.call(field(), queue.lines.shift());
     field().dispatchEvent(new Event("input", { bubbles: true })); // as when a user types
+  };
+  const send = (...words) => {
+    queue.lines.push(`torchjoint:${words.join(" ")} ${Date.now()}`); // the time: two clicks in one place are two lines
+    if (!queue.timer) next();
   };
   const once = (condition, action) => (condition() ? action() : setTimeout(once, 200, condition, action));
   const matches = (query) => matchMedia(query).matches;
@@ -17,8 +30,7 @@
   const isDark = () => document.documentElement.dataset.mantineColorScheme === "dark";
   once(() => field() && (send("dark", wanted), !wanted || isDark()), () => {});
   if (!wanted) setTimeout(() => field() && send("dark", wanted), 3000); // an earlier page may have been dark
-  if (window.torchjoint) return; // the panel was built anew
-  window.torchjoint = true;
+  if (!isNew) return;
 
   const sheet = () => document.querySelector('[style*="height: 3.5em"][style*="cursor"]'); // viser's panel on a phone
   if (matches("(max-width: 36em)")) {
@@ -40,6 +52,7 @@
     const column = Math.floor(((event.clientX - left) / width) * naturalWidth);
     send("image", column, Math.floor(((event.clientY - top) / height) * naturalHeight), more);
   });
+  for (const kind of ["click", "input", "keydown"]) document.addEventListener(kind, wait, true);
 
   // The browser gives a finger to the canvas at once; viser takes that for a grip of its own, and would drop the tap.
   document.addEventListener("pointerdown", ({ target, pointerId }) => {
@@ -50,6 +63,7 @@
   let isTold = false;
   document.addEventListener("pointermove", (event) => {
     clearTimeout(rest);
+    if (event.buttons) wait();
     const isOver = event.target.tagName === "CANVAS" && event.pointerType === "mouse" && !event.buttons;
     if (!isOver && isTold) send("hover");
     isTold &&= isOver;
