@@ -13,7 +13,8 @@ import pytest
 import torch
 
 import torchjoint as tj
-from torchjoint.datasets.fusion import fuse_cloud
+from torchjoint.datasets.fusion import GRID, fuse_cloud
+from torchjoint.datasets.volume import Volume
 
 VOXEL = 0.08
 
@@ -56,6 +57,27 @@ def test_a_forked_process_does_not_share_the_voxels(frames):
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     segmenter.update(frames[2:])
     assert torch.equal(segmenter.result().labels, played(frames, step=0).result().labels)
+
+
+def test_an_interrupted_first_frame_moves_no_later_one(frames, monkeypatch):
+    """It was fused, but the place of the volume was taken from the next frame, which was elsewhere."""
+    centers = torch.stack([torch.linalg.inv(frame.world_to_camera)[:3, 3] for frame in frames[:2]])
+    shift = torch.eye(4, dtype=torch.float64)
+    shift[:3, 3] = centers.mean(0) - 0.5 * GRID * VOXEL  # the two cameras are in different cells of the grid
+    moved = [replace(frame, world_to_camera=frame.world_to_camera @ shift) for frame in frames[:2]]
+    segmenter, whole = tj.LiveSegmenter(voxel_size=VOXEL), played(moved)
+
+    def interrupted(*arguments):
+        integrate(*arguments)
+        raise KeyboardInterrupt
+
+    integrate = Volume.integrate
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Volume, "integrate", interrupted)
+        segmenter.update(moved[0])
+    segmenter.update(moved[1])
+    assert segmenter.names == whole.names[1:]
+    assert torch.equal(segmenter.result().cloud.points, whole.result().cloud.points)
 
 
 def test_results_in_between_and_batches_change_no_label(frames):
@@ -226,7 +248,9 @@ def test_new_poses_move_the_cloud_and_the_evidence(frames):
 def test_new_poses_are_checked(frames):
     poses = torch.stack([frame.world_to_camera for frame in frames])
     with pytest.raises(RuntimeError, match="give keep_depth=True"):
-        played(frames).set_poses(poses)
+        (segmenter := played(frames)).set_poses(poses)
+    with pytest.raises(AttributeError, match="no setter"):  # of the frames so far there is no depth
+        segmenter.keep_depth = True
     segmenter = played(frames, keep_depth=True)
     with pytest.raises(ValueError, match=r"expected \[4, 4, 4\], a pose for each keyframe, got \[2, 4, 4\]"):
         segmenter.set_poses(poses[:2])

@@ -196,6 +196,8 @@ class LiveSegmenter(nn.Module):
 
     #: The parameters, which cannot be changed: parts were made from them.
     config: Config = property(lambda self: self._config)  # type: ignore[assignment]
+    #: Whether the depth of keyframes is kept; of earlier ones there would be none.
+    keep_depth: bool = property(lambda self: self._keep_depth)  # type: ignore[assignment]
 
     @on_cpu()
     def __init__(
@@ -222,7 +224,7 @@ class LiveSegmenter(nn.Module):
             raise ValueError(f"config: expected point_segments.method learned (or auto, or a model), got {name}")
         tell_unread(self.config, LEARNED)
         self.step, self.turn, self.views, self.granularity = step, turn, views, granularity
-        self.keep_depth, self.memory = keep_depth, as_bytes(memory)
+        self._keep_depth, self.memory = keep_depth, as_bytes(memory)
         self.image_segmenter = ImageSegmenter(self.config, boundary, image_segmenter)
         self.stopwatch = Stopwatch()
         self._volume = Volume(voxel_size, MAX_DEPTH, self.memory)
@@ -271,6 +273,7 @@ class LiveSegmenter(nn.Module):
             (self._compare if is_keyframe else self._compare_at_rest)(frame)
             if frame.depth is not None:
                 with self.stopwatch("fusion"), self._lock:
+                    self._origin = origin  # of what is fused, also if an interruption leaves the frame out
                     blocks = add_frame(self._volume, frame, origin)
                 if self._views and not len(blocks) and float(frame.depth.max()) > UNLIKELY:
                     told = "a frame's depth is beyond reach, and not fused: in millimetres, after others in metres?"
