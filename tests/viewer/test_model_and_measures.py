@@ -1,6 +1,7 @@
 """What the viewer shows, without a browser: levels, corrections and undo, colours, the table, clicks in the cloud."""
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from unittest import mock
 
@@ -114,10 +115,50 @@ def test_a_split_goes_down_the_tree():
     assert twice.tolist() == [0, 0, 2, 3, 4]
     apart = (Edit("join", (3, 4)), Edit("split", (4,)), Edit("split", (4,)))  # 3-4 merge last, so they part first
     assert Edits(5, None, apart[:2]).apply(table, hierarchy).tolist() == [0, 0, 0, 0, 4]
+    assert Edits(5, None, apart).apply(table, hierarchy).tolist() == [0, 0, 0, 0, 4]  # of one superpoint
     with pytest.raises(ValueError, match="split: expected a segment of several superpoints, got 4"):
-        Edits(5, None, apart).apply(table, hierarchy)
+        place_to_split(table, 4, np.ones(5), hierarchy)
     with pytest.raises(ValueError, match="split: expected a hierarchy, got none"):
         Edits(5, None, apart[1:]).apply(table, None)
+
+
+def test_a_split_is_made_whatever_other_levels_have(model):
+    """A name of the finest level, where the segment is one superpoint, forbade the split, but it was shown."""
+    (segment,), merges = largest(model, 1), model.result.hierarchy.merges.numpy()
+    inside = model.table == segment
+    own = merges[inside[merges].all(axis=1)]
+    middle = int(np.bincount(own.ravel()).argmax())  # without it, merges do not connect the others
+    place = int(np.flatnonzero(inside & (np.arange(len(inside)) != middle))[0])
+    steps = Edit("name", (place,), "a part", 1.0), Edit("gather", (middle,))
+    model.take(replace(model.edits, steps=steps))
+    model.select((place,))
+    model.split()
+    assert len(model.selected) == 2
+    assert model.edits.steps == (*steps, Edit("split", (place,)))
+    assert np.array_equal(model.table, model.parts.table(model.edits))
+    model.set_granularity(1.0)  # where nothing is to be split
+    assert np.array_equal(model.table, model.parts.table(model.edits))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_shown_is_what_is_kept(model, seed):
+    rng = np.random.default_rng(seed)
+    for _ in range(12):
+        segments = np.unique(model.table)
+        model.select(tuple(rng.choice(segments, min(len(segments), 1 + seed % 2), replace=False).tolist()))
+        action = rng.choice(["join", "split", "name", "click", "level", "undo"])
+        with suppress(ValueError):  # which must change nothing
+            if action == "name":
+                model.name(rng.choice(["", "a", "b"]))
+            elif action == "level":
+                model.set_granularity(rng.choice([None, 0.0, 0.5, 1.0]))
+            elif action == "click":
+                model.click(int(rng.integers(len(model.parts.of_point))))
+                model.keep()
+            else:
+                getattr(model, action)()
+        assert np.array_equal(model.table, model.parts.table(model.edits))
+        assert model.names == model.parts.names(model.edits)
 
 
 def test_a_split_leaves_crumbs_where_they_are():

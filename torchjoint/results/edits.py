@@ -38,8 +38,8 @@ def split(table: Table, superpoints: tuple[int, ...], hierarchy: Hierarchy | Non
     Args:
         table: [P] the segment of each superpoint; the number of a segment is that of its first superpoint.
         superpoints: one superpoint: its segment is divided where its last merge, or a join by hand, joined it. Three
-            superpoints: the segment of the first is divided at the merge of the other two; if that merge is not in it,
-            nothing changes.
+            superpoints: the segment of the first is divided at the merge of the other two. Nothing changes if that
+            merge is not in it, or if it is one superpoint, as at another level.
         hierarchy: of the superpoints.
 
     Returns:
@@ -59,9 +59,9 @@ def split(table: Table, superpoints: tuple[int, ...], hierarchy: Hierarchy | Non
         parts = _parts(np.delete(merges[own], np.searchsorted(own, cut[0]), axis=0), len(table))
         away = superpoints[1] if parts[superpoints[2]] == parts[table[superpoints[0]]] else superpoints[2]
         rest = inside & (parts == parts[away])
+    elif inside.sum() < 2:
+        return table
     else:
-        if inside.sum() < 2:
-            raise ValueError(f"split: expected a segment of several superpoints, got {table[superpoints[0]]} with one")
         parts = _parts(merges[own], len(table))
         if len(np.unique(parts[inside])) == 1:  # undo the last merge
             parts = _parts(np.delete(merges[own], _last(heights[own]), axis=0), len(table))
@@ -82,10 +82,15 @@ def place_to_split(table: Table, superpoint: int, sizes: Table, hierarchy: Hiera
         superpoint: of the segment.
         sizes: [P] points of each superpoint.
         hierarchy: of the superpoints.
+
+    Raises:
+        ValueError: the segment is one superpoint.
     """
     inside = table == table[superpoint]
-    if hierarchy is None or inside.sum() < 2:
+    if hierarchy is None:
         return (superpoint,)  # split() raises the error
+    if inside.sum() < 2:
+        raise ValueError(f"split: expected a segment of several superpoints, got {table[superpoint]} with one")
     merges, heights = hierarchy.merges.numpy(), hierarchy.heights.numpy()
     own = np.nonzero(inside[merges].all(axis=1))[0]
     if len(own) < inside.sum() - 1:  # not connected by merges: joined by hand

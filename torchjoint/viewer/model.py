@@ -257,9 +257,8 @@ class Model:
 
     def _edit(self, edits: Edits, picked: tuple[Edit, ...] = ()) -> None:
         before, shown = self.table, replace(edits, steps=edits.steps + picked)
-        self.table = self.parts.table(shown)  # raises before anything changes
-        self.edits, self.names = edits, self.parts.names(shown)
-        self._picked, self.clicks = picked, ()
+        self.table, self.names = self.parts.table(shown), self.parts.names(shown)  # raise before anything changes
+        self.edits, self._picked, self.clicks = edits, picked, ()
         ids = self.parts.ids(shown)
         if not (np.array_equal(before, self.table) and np.array_equal(ids, self.measures.ids)):
             places = [self._place_of(segment, before) for segment in self.selected]

@@ -3,7 +3,6 @@
 import io
 import json
 from base64 import b64encode
-from contextlib import suppress
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -91,9 +90,8 @@ def _levels(parts: Parts, edits: Edits) -> tuple[list[dict[str, Any]], int]:
     """The levels from coarse to fine (ids and hues of superpoints, number and names), and the shown one."""
     found = {(shown := parts.table(edits)).tobytes(): (shown, edits)}
     for granularity in LEVELS if parts.result.hierarchy is not None else ():
-        with suppress(ValueError):  # a split that this level does not allow
-            other = replace(edits, granularity=granularity)
-            found.setdefault((table := parts.table(other)).tobytes(), (table, other))
+        other = replace(edits, granularity=granularity)
+        found.setdefault((table := parts.table(other)).tobytes(), (table, other))
     ordered = sorted(found.values(), key=lambda one: len(np.unique(one[0])))
     levels = []
     for table, of_level in ordered:
