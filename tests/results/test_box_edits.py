@@ -206,6 +206,9 @@ def test_footprints_are_simple_and_have_the_told_area(tmp_path):
             rings = [(np.array(ring) - ring[0]).T for (ring,) in parts]
             written = sum((x[:-1] * y[1:] - y[:-1] * x[1:]).sum() / 2 for x, y in rings)  # counter-clockwise, too
             assert area == pytest.approx(written, abs=1e-3)
+    turn = torch.linspace(0, 2 * math.pi, 2001, dtype=torch.float64)[1:]
+    mast = torch.stack([0.2 * turn.cos() + 691_000, 0.2 * turn.sin() + 5_334_000, turn], 1)  # corners nearer than 1 mm
+    assert edges_that_meet(footprint_of(mast, tmp_path)[0]) == 0
     line = torch.tensor([[0.0, 0, 0], [1, 1, 0], [2, 2, 0]], dtype=torch.float64)
     assert footprint_of(line, tmp_path)[0]["type"] == "Point"  # without area
 
