@@ -72,6 +72,7 @@ def export(
     if format == "graph":
         if out is not None or granularity is not None or only_masked:
             raise ValueError("--format graph adds to segments.json: expected no -o, --granularity, --only-masked")
+        tell_of_edits(result, "--format graph leaves corrections by hand out; load_result(RESULT).graph() has them")
         load_result(result, edits=False).graph().save(result)
         say(result / "segments.json")
         return
