@@ -197,7 +197,7 @@ class TestARun:
             file.write_text(file.read_text() + added)
             run("edits", "import", copy, file)
             told = capsys.readouterr().out
-            assert "things joined to others: 0" in told
+            assert "joined to others: 0" in told
             assert f"had left them out): {len(others) + (not added)}\n" in told
         assert not (copy / "edits.json").exists()
 

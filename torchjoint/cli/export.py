@@ -78,7 +78,7 @@ def export(
         return
     loaded = load_result(result, edits=not only_masked)
     if only_masked:
-        tell_of_edits(result, "--only-masked leaves corrections by hand out; `edits import` of OUT would undo them")
+        tell_of_edits(result, "--only-masked leaves corrections by hand out; do not import OUT")
         loaded = select_masked(result, loaded)
     loaded = at_level(result, loaded, granularity)
     is_laz = format == "las" and read_origin(result).scene.lower().endswith(".laz")
