@@ -28,6 +28,8 @@ from torchjoint.results.boxes import (
     segmentsai_label,
     upright_points,
 )
+from torchjoint.results.edits import Edit, Edits, read_edits, write_edits
+from torchjoint.results.exports import SUFFIXES
 from torchjoint.results.exports.boxes import (
     export_csv,
     export_cuboids,
@@ -38,6 +40,7 @@ from torchjoint.results.exports.boxes import (
     export_point_labels,
 )
 from torchjoint.results.folder import write_result
+from torchjoint.results.parts import Parts
 
 UP_X = torch.tensor([1.0, 0, 0])
 
@@ -138,7 +141,7 @@ def test_boxes_have_a_size(tmp_path):
         boxes = read_boxes(file)
         assert [box.size for box in boxes] == [pytest.approx(size, abs=1e-4) for size in ((1, 0.5, 0.01), (0.01,) * 3)]
         with pytest.warns(UserWarning, match="have no box"):  # what has none was not deleted
-            assert edits_of_boxes(result, boxes) == ((), 0, 0, (), 0)
+            assert edits_of_boxes(result, boxes) == ((), (), 0)
 
 
 def footprint_of(points, tmp_path):
@@ -206,6 +209,9 @@ def test_footprints_are_simple_and_have_the_told_area(tmp_path):
             rings = [(np.array(ring) - ring[0]).T for (ring,) in parts]
             written = sum((x[:-1] * y[1:] - y[:-1] * x[1:]).sum() / 2 for x, y in rings)  # counter-clockwise, too
             assert area == pytest.approx(written, abs=1e-3)
+    turn = torch.linspace(0, 2 * math.pi, 2001, dtype=torch.float64)[1:]
+    mast = torch.stack([0.2 * turn.cos() + 691_000, 0.2 * turn.sin() + 5_334_000, turn], 1)  # corners nearer than 1 mm
+    assert edges_that_meet(footprint_of(mast, tmp_path)[0]) == 0
     line = torch.tensor([[0.0, 0, 0], [1, 1, 0], [2, 2, 0]], dtype=torch.float64)
     assert footprint_of(line, tmp_path)[0]["type"] == "Point"  # without area
 
@@ -252,7 +258,7 @@ def test_what_nobody_edited_changes_nothing(tmp_path, export):
     result = replace(three(), segment_names={1: "a red block"})
     file = tmp_path / ("boxes.txt" if export is export_openpcdet else "boxes.json")
     export(file, result)
-    assert edits_of_boxes(result, read_boxes(file)[::-1], export is export_openpcdet) == ((), 0, 0, (), 0)
+    assert edits_of_boxes(result, read_boxes(file)[::-1], export is export_openpcdet) == ((), (), 0)
 
 
 @pytest.mark.parametrize("name", ["thing", " thing ", "  a chair ", "\u2028a", "\r", "x\ny"])
@@ -281,11 +287,11 @@ def test_cuboids_without_names_leave_the_names(tmp_path):
         del one["attributes"]
     (tmp_path / "a.json").write_text(json.dumps({"label_status": "LABELED", "attributes": label}))
     with pytest.warns(UserWarning, match="1 empty names change nothing; the viewer removes names"):
-        assert edits_of_boxes(result, read_boxes(tmp_path / "a.json")) == ((), 0, 0, (), 0)
+        assert edits_of_boxes(result, read_boxes(tmp_path / "a.json")) == ((), (), 0)
     label["annotations"][1]["attributes"] = {"name": ""}
     (tmp_path / "a.json").write_text(json.dumps(label))
     with pytest.warns(UserWarning, match="1 empty names change nothing; the viewer removes names"):
-        assert edits_of_boxes(result, read_boxes(tmp_path / "a.json")) == ((), 0, 0, (), 0)
+        assert edits_of_boxes(result, read_boxes(tmp_path / "a.json")) == ((), (), 0)
 
 
 def test_a_deleted_box_joins_and_a_name_is_taken():
@@ -297,12 +303,12 @@ def test_a_deleted_box_joins_and_a_name_is_taken():
         ("join", (0, 1), ""),
         ("name", (0,), "desk"),
     ]
-    assert (changes.joined, changes.named, changes.empty) == (1, 1, ())
+    assert ([one.kind for one in changes.steps], changes.empty) == (["join", "name"], ())
     far = Box("new", (9, 9, 9), (1, 1, 1), 0.0)
     assert edits_of_boxes(result, [table, block_on_it, beside, far]).empty == (3,)
     # Deleted without another box around it: it stays as it is.
     assert edits_of_boxes(result, [table, block_on_it]).steps == ()
-    assert edits_of_boxes(result, []) == ((), 0, 0, (), 3)
+    assert edits_of_boxes(result, []) == ((), (), 3)
 
 
 @pytest.mark.parametrize(("name", "other"), [("a red chair", "a_red_chair"), ("a_red_chair", "a red chair")])
@@ -492,7 +498,7 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up)
     else:
         assert torch.equal(load_cloud(tmp_path / "boxes.ply").points[:, 2], -scene.points[:, 1])
     run("edits", "import", out, tmp_path / "boxes.json")
-    assert "things joined to others: 0, names changed: 0" in capsys.readouterr().out
+    assert "joined to others: 0, names changed: 0" in capsys.readouterr().out
     assert not (out / "edits.json").exists()
     record = json.loads((tmp_path / "boxes.json").read_text())
     before = tj.load_result(out)
@@ -504,7 +510,7 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys, up)
     del record["objects"][gone]
     (tmp_path / "edited.json").write_text(json.dumps(record))
     run("edits", "import", out, tmp_path / "edited.json")
-    assert "things joined to others: 1, names changed: 1" in capsys.readouterr().out
+    assert "joined to others: 1, names changed: 1" in capsys.readouterr().out
     after = tj.load_result(out)
     assert len(after.points.unique()) == before.num_point_segments - 1
     assert "floor" in after.segment_names.values()
@@ -529,7 +535,7 @@ def test_segments_without_points_have_no_box(tmp_path):
     masked = replace(result, points=torch.where(result.points == 1, -1, result.points))
     export_openpcdet(tmp_path / "boxes.txt", masked)
     assert len(read_boxes(tmp_path / "boxes.txt")) == 2
-    assert edits_of_boxes(masked, read_boxes(tmp_path / "boxes.txt")) == ((), 0, 0, (), 0)
+    assert edits_of_boxes(masked, read_boxes(tmp_path / "boxes.txt")) == ((), (), 0)
 
 
 def test_a_second_import_goes_on_from_the_first(run, tmp_path):
@@ -549,6 +555,39 @@ def test_a_second_import_goes_on_from_the_first(run, tmp_path):
     (named,) = after.segment_names
     assert after.segment_names == {named: "chair"}
     assert torch.equal(after.points == named, result.points == 2)
+
+
+@pytest.mark.parametrize("format", ["labelcloud", "cvat", "segmentsai-cuboids", "openpcdet", "csv", "segmentsai"])
+def test_a_file_takes_no_later_corrections_back(run, tmp_path, capsys, format):
+    """The file was exported before them; what was edited in it comes back, or the file is refused."""
+    table, on_it = block((0, 0, 0.5), (2, 1, 1), 0.3), block((0.1, 0, 1.1), (0.2, 0.3, 0.2), 1.0)
+    result = result_of(table, on_it, *(block((3 * place, 4, 1), (1, 1, 1), 0) for place in range(5)))
+    out, file = tmp_path / "out", tmp_path / f"file{SUFFIXES[format]}"
+    out.mkdir()
+    write_result(out, result.scene, result, tj.Config(), "test")
+    parts = Parts(result)
+    names = [Edit("name", (place,), name) for place, name in ((2, "old tree"), (3, "car"), (6, "house"))]
+    exported = Edits(parts.count, None, (Edit("join", (0, 1)), *names))
+    write_edits(out, exported)
+    run("export", out, "--format", format, "-o", file)
+    later = (Edit("name", (2,), "oak"), Edit("name", (3,), ""), Edit("gather", (1,)), Edit("join", (4, 5)))
+    write_edits(out, before := replace(exported, steps=exported.steps + later))
+    file.write_text(file.read_text().replace("house", "shop"))
+    kept = (out / "edits.json").read_bytes()
+    if format == "segmentsai":
+        with pytest.raises(SystemExit, match=r"those before the last joins or splits by hand \(2\); export"):
+            run("edits", "import", out, file)
+        assert (out / "edits.json").read_bytes() == kept
+        return
+    with pytest.warns(UserWarning, match="which stay .*: ('car', 'old.tree'|'car', 'old.tree', a join)$"):
+        run("edits", "import", out, file)
+    assert "joined to others: 0, names changed: 1\nnames that were replaced: 'house'\n" in capsys.readouterr().out
+    after = read_edits(out, parts.count)
+    assert after.steps == (*before.steps, Edit("name", (6,), "shop"))
+    run("export", out, "--format", format, "-o", file, "--overwrite")
+    file.write_text(file.read_text().replace("shop", "house"))  # a name of before, in a file of now
+    with pytest.warns(UserWarning, match="which stay .*: 'house'$"):
+        run("edits", "import", out, file)
 
 
 @pytest.mark.parametrize("delimiter", [",", ";"])
@@ -625,6 +664,10 @@ def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimit
     outlines.write_text(json.dumps(features))
     run("edits", "import", out, outlines)
     assert tj.load_result(out).segment_names == {0: "barn", 2: "'n Ding"}
+    features["features"][0]["properties"]["name"] = 0  # a column of integers
+    outlines.write_text(json.dumps(features))
+    run("edits", "import", out, outlines)
+    assert tj.load_result(out).segment_names == {0: "0", 2: "'n Ding"}
     features["features"][2]["properties"] |= {"name": "hut", "points": 3}
     outlines.write_text(json.dumps(features))
     with pytest.raises(SystemExit, match=r"outlines\.geojson: row 3: 'hut': segment 2: .*the table says 3"):

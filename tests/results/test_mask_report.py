@@ -174,7 +174,8 @@ class TestARun:
     def test_an_export_of_what_is_masked(self, out, run, tmp_path):
         kept = [s["id"] for s in json.loads((out / "masks.json").read_text())["segments"] if s["masked"] >= 0.5]
         run("export", out, "--format", "npz", "-o", tmp_path / "a.npz", "--only-masked")
-        labels = np.load(tmp_path / "a.npz")["labels"]
+        labels, sure = (np.load(tmp_path / "a.npz")[name] for name in ("labels", "confidence"))
+        assert len(sure) == labels.max() + 1
         stored = tj.load_result(out, edits=False).points.numpy()
         assert (labels == np.where(np.isin(stored, kept), stored, -1)).all()
         run("export", out, "--format", "ply", "-o", tmp_path / "ply", "--only-masked")
@@ -196,7 +197,7 @@ class TestARun:
             file.write_text(file.read_text() + added)
             run("edits", "import", copy, file)
             told = capsys.readouterr().out
-            assert "things joined to others: 0" in told
+            assert "joined to others: 0" in told
             assert f"had left them out): {len(others) + (not added)}\n" in told
         assert not (copy / "edits.json").exists()
 
@@ -209,7 +210,7 @@ class TestARun:
         run("export", copy, "--format", "cvat", "-o", file, "--only-masked")
         write_edits(copy, Edits(parts.count, steps=(Edit("join", tuple(ends)),), of=manifest_checksum(copy)))
         run("edits", "import", copy, file)
-        assert "things joined to others: 0" in capsys.readouterr().out
+        assert "joined to others: 0" in capsys.readouterr().out
 
     def test_what_is_kept_is_as_sure_as_before(self, out):
         loaded = tj.load_result(out, edits=False)

@@ -108,7 +108,7 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     assert label["point_annotations"] == (before.points + 1).tolist()
     assert label["annotations"][1] == {"id": 2, "category_id": 1, "attributes": {"name": ""}}
     run("edits", "import", out, file)
-    assert "things gathered: 0, names changed: 0" in capsys.readouterr().out
+    assert "things gathered: 0, joined to others: 0, names changed: 0" in capsys.readouterr().out
     assert not (out / "edits.json").exists()
     superpoints = before.hierarchy.superpoint
     moved = (
@@ -119,14 +119,14 @@ def test_the_round_trip_of_the_command_line(run, scene_of, tmp_path, capsys):
     label["annotations"][0]["attributes"]["name"] = "a thing of two"
     file.write_text(json.dumps({"attributes": label}))
     run("edits", "import", out, file)
-    assert "things gathered: 1, names changed: 1" in capsys.readouterr().out
+    assert "things gathered: 1, joined to others: 0, names changed: 1" in capsys.readouterr().out
     after = tj.load_result(out)
     same = torch.stack([after.points, ids]).unique(dim=1)
     assert same.shape[1] == after.points.unique().numel() == ids.unique().numel()
     assert after.segment_names == {int(after.points[ids == 1][0]): "a thing of two"}
     export_point_labels(file, after)
     run("edits", "import", out, file)
-    assert capsys.readouterr().out == "things gathered: 0, names changed: 0\n"
+    assert capsys.readouterr().out == "things gathered: 0, joined to others: 0, names changed: 0\n"
     label = json.loads(file.read_text())
     label["point_annotations"] = [0 if one == 1 else one for one in label["point_annotations"]]
     file.write_text(json.dumps(label))

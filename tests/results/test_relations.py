@@ -10,7 +10,9 @@ import torch
 
 import torchjoint as tj
 from torchjoint.cli.export import export
+from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.results.folder import write_result
+from torchjoint.results.parts import Parts
 from torchjoint.results.relations import Relation, Relations
 from torchjoint.runtime.outputs import BusyError, lock
 
@@ -216,6 +218,9 @@ def test_export_adds_the_relations(saved, capsys):
     assert len(Relations.load(saved).relations) == 2
     with pytest.raises(ValueError, match=r"--format graph adds to segments\.json: expected no -o"):
         export(saved, "graph", out=Path("graph.json"))
+    write_edits(saved, Edits(Parts(tj.load_result(saved)).count, None, (Edit("name", (0,), "floor"),)))
+    with pytest.warns(UserWarning, match="--format graph leaves corrections by hand out"):
+        export(saved, "graph")
 
 
 def test_apart_nothing_is_related():

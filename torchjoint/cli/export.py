@@ -72,12 +72,13 @@ def export(
     if format == "graph":
         if out is not None or granularity is not None or only_masked:
             raise ValueError("--format graph adds to segments.json: expected no -o, --granularity, --only-masked")
+        tell_of_edits(result, "--format graph leaves corrections by hand out; load_result(RESULT).graph() has them")
         load_result(result, edits=False).graph().save(result)
         say(result / "segments.json")
         return
     loaded = load_result(result, edits=not only_masked)
     if only_masked:
-        tell_of_edits(result, "--only-masked leaves corrections by hand out; `edits import` of OUT would undo them")
+        tell_of_edits(result, "--only-masked leaves corrections by hand out; do not import OUT")
         loaded = select_masked(result, loaded)
     loaded = at_level(result, loaded, granularity)
     is_laz = format == "las" and read_origin(result).scene.lower().endswith(".laz")

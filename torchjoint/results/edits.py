@@ -156,21 +156,13 @@ class Edits:
     steps: tuple[Edit, ...] = ()  #: the corrections
     of: str | None = None  #: the checksum of the result's manifest; None: not known
 
-    def apply(self, table: Table, hierarchy: Hierarchy | None) -> Table:
-        """Applies the corrections to a level.
+    def tables(self, table: Table, hierarchy: Hierarchy | None) -> Iterator[Table]:
+        """The segment of each superpoint [P] before the corrections, and after each that changes it.
 
         Args:
-            table: [P] the segment of each superpoint, any numbers.
+            table: [P] the segments of a level, any numbers; a segment gets the number of its first superpoint.
             hierarchy: of the superpoints; if None, no segment can be split.
-
-        Returns:
-            [P] the segment of each superpoint; the number of a segment is that of its first superpoint.
         """
-        *_, last = self.tables(table, hierarchy)
-        return last
-
-    def tables(self, table: Table, hierarchy: Hierarchy | None) -> Iterator[Table]:
-        """The table [P] before the corrections and after each that changes it; arguments as those of :meth:`apply`."""
         yield (table := first_superpoints(table))
         for step in (one for one in self.steps if one.kind != "name"):
             if step.kind == "join":

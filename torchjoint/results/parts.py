@@ -1,5 +1,7 @@
 """The superpoints of a result, and the segments that they form: what can be joined and split (output after step 8)."""
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count, groupby
@@ -65,7 +67,11 @@ class Parts:
 
     def table(self, edits: Edits) -> Table:
         """[P] the segment of each superpoint after the edits; its number is that of its first superpoint."""
-        return edits.apply(self.level(edits.granularity), self.result.hierarchy)
+        return deque(self.tables(edits), maxlen=1).pop()
+
+    def tables(self, edits: Edits) -> Iterator[Table]:
+        """The same before the edits, and after each that changes it."""
+        return edits.tables(self.level(edits.granularity), self.result.hierarchy)
 
     def names(self, edits: Edits) -> dict[int, str]:
         """The names of segments after the edits, by the number of a segment in :meth:`table`.
@@ -99,7 +105,7 @@ class Parts:
     def ids(self, edits: Edits) -> Table:
         """[P] the id of each superpoint's segment; new segments follow all on disk, in the order of the edits."""
         own, following = np.where(first_superpoints(self.stored) == np.arange(self.count), self.stored, -1), count()
-        for table in edits.tables(self.level(edits.granularity), self.result.hierarchy):
+        for table in self.tables(edits):
             for first in np.flatnonzero((table == np.arange(self.count)) & (own < 0)):
                 own[first] = int(self.stored.max()) + 1 + next(following)
         return own[table]

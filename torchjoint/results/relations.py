@@ -51,7 +51,7 @@ class Relation:
 
     Attributes:
         kind: "stands on", "hangs on", "contains" or "touches". A pair that stands or hangs also touches; this is not
-            listed again.
+            listed again, but if a gap hides the feet (area 0) and something else of them touches.
         first, second: the segments: `first` stands on `second`. Of "touches" the first is the smaller number.
         area: of the contact, square metres, from the points there; 0 for "contains", and where a gap hides the contact.
         share: the evidence: of the carrier's points in the contact, the share on a level surface or a wall; of the

@@ -117,9 +117,7 @@ INSIDE = 0.5
 class BoxEdits(NamedTuple):
     """What boxes change."""
 
-    steps: tuple[Edit, ...]  #: joins, then names
-    joined: int  #: segments that have joined others
-    named: int  #: segments whose name has changed
+    steps: Steps  #: joins, then names
     empty: tuple[int, ...]  #: boxes that are those of no segment
     stayed: int = 0  #: segments without a box, which lie in no other, or which `export --only-masked` left out
 
@@ -161,7 +159,7 @@ def edits_of_boxes(
     called = {one: _told(boxes[number].name) for number, one in segment_of.items()}
     _warn_of_emptied((name, result.segment_names.get(one, "")) for one, name in called.items())
     names = edits_of_names(result, called, superpoint, is_text)
-    return BoxEdits((*steps, *names), len(steps), len(names), empty, len(own) - len(segment_of) - len(steps))
+    return BoxEdits((*steps, *names), empty, len(own) - len(segment_of) - len(steps))
 
 
 def read_names(file: Path, result: Result) -> dict[int, str] | None:
@@ -188,7 +186,8 @@ def read_names(file: Path, result: Result) -> dict[int, str] | None:
             if not {"id", "name", "points"} <= row.keys():
                 raise ValueError(f"expected id, name and points of `export`, got {', '.join(map(str, row))[:100]}")
             segment, points = (_count(str(row[column])) for column in ("id", "points"))
-            name, before = printable(str(row["name"] or "").strip()), result.segment_names.get(segment, "").strip()
+            value, before = row["name"], result.segment_names.get(segment, "").strip()
+            name = "" if value is None else printable(str(value).strip())  # a house number may be the integer 0
             if name in ("", before, no_formula(before)):
                 unchanged.append((name, before))
                 continue
@@ -223,6 +222,37 @@ def edits_of_names(result: Result, names: Mapping[int, str], superpoint: Table, 
         for segment, name in sorted(names.items())
         if name.strip() not in ("", "_".join(before.get(segment, "").split()) if is_text else before.get(segment, ""))
     )
+
+
+def without_older(steps: Steps, parts: Parts, before: Edits, file: Path) -> Steps:
+    """Leaves out, with a warning, the steps of a file that take later corrections back: it was exported before these.
+
+    They join what a correction has split, or give a name that another by hand has replaced.
+
+    Raises:
+        ValueError: the segments that the file gathers are more like those before the last corrections.
+    """
+    after = parts.table(replace(before, steps=before.steps + steps))
+    differences, older = [], set[Edit]()
+    for now in parts.tables(before):
+        differences.append(int((now != after) @ parts.sizes))  # points
+        older |= {one for one in steps if one.kind == "join" and np.ptp(now[[*one.superpoints]]) == 0}
+    late = differences[::-1].index(min(differences))
+    if late and any(step.kind == "gather" for step in steps):
+        told = f"its things are more like those before the last joins or splits by hand ({late})"
+        raise ValueError(f"{file}: {told}; export again, or undo these in the viewer, import, and make them again")
+    by_hand = [(now[one.superpoints[0]], one.name.strip()) for one in before.steps if one.kind == "name"]
+    names, given = parts.names(before), parts.result.segment_names
+    for step in [one for one in steps if one.kind == "name"]:
+        segment = now[step.superpoints[0]]
+        if earlier := {name for place, name in by_hand if place == segment}:
+            earlier |= {given.get(int(parts.stored[step.superpoints[0]]), "")}
+            replaced = ("_".join(name.split()) for name in earlier - {names.get(segment, "").strip()})  # as OpenPCDet
+            older |= {step} if "_".join(step.name.split()) in replaced else set()
+    if older:
+        told = ", ".join(sorted(repr(step.name) if step.name else "a join" for step in older))[:300]
+        warnings.warn(f"{file}: as before later corrections, which stay (the viewer undoes them): {told}", stacklevel=3)
+    return tuple(step for step in steps if step not in older)
 
 
 def _places(result: Result, superpoint: Table) -> Table:
@@ -275,7 +305,6 @@ def save_edits(folder: Path, edits: Edits, before: Edits, parts: Parts) -> Edits
             raise ValueError(f"{folder}: expected the result that was opened, got another; not saved, open it again")
         merged = replace(edits, steps=merged_steps(before.steps, theirs, edits.steps))
         try:
-            parts.table(merged)
             parts.names(merged)
         except ValueError as error:
             expected = "expected corrections that go with those that others have saved meanwhile"

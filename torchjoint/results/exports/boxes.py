@@ -7,6 +7,7 @@ import json
 import math
 import warnings
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +69,7 @@ def export_geojson(path: Path, result: Result, epsg: int | None = None) -> None:
     for row, points in _rows(result):
         digits = 7 if np.abs(points[:, :2]).max() <= 360 else 3  # a survey's coordinates may be degrees
         corners = [np.round(ring, digits) for ring in _footprint(points[:, :2])]
-        rings = [[*ring.tolist(), ring[0].tolist()] for ring in corners]
+        rings = [[place for place, _ in groupby([*ring.tolist(), ring[0].tolist()])] for ring in corners]  # once each
         if not any(map(_area, corners)):
             shape = {"type": "Point", "coordinates": rings[0][0]}
         elif len(rings) == 1:

@@ -66,10 +66,8 @@ def export_npz(path: Path, result: Result) -> None:
     point_confidence [N].
     """
     arrays = {"points": result.scene.points.numpy(), "labels": result.points.numpy()}
-    if result.scene.colors is not None:
-        arrays["colors"] = result.scene.colors.numpy()
-    if result.confidence is not None and result.point_confidence is not None:
-        arrays |= {"confidence": result.confidence.numpy(), "point_confidence": result.point_confidence.numpy()}
+    some = {"colors": result.scene.colors, "confidence": result.confidence, "point_confidence": result.point_confidence}
+    arrays |= {name: values.numpy() for name, values in some.items() if values is not None}
     names = [name or f"{index:06d}" for index, name in enumerate(result.names)]
     called = [result.segment_names.get(segment, "") for segment in range(result.num_point_segments)]
     arrays |= {"names": np.array(names, dtype=str), "segment_names": np.array(called, dtype=str)}
