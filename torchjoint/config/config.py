@@ -9,20 +9,8 @@ from typing import Any, ClassVar, Self, TypeVar, cast
 
 import yaml
 
+from torchjoint.config import stages as steps
 from torchjoint.config.parameter import Stage
-from torchjoint.config.stages import (
-    BoundaryConfig,
-    ContoursConfig,
-    ImageGraphConfig,
-    ImageSegmentsConfig,
-    PaperConfig,
-    PointGraphConfig,
-    PointSegmentsConfig,
-    PropagationConfig,
-    RefinementConfig,
-    ScanConfig,
-    VisibilityConfig,
-)
 from torchjoint.runtime import bounds
 from torchjoint.runtime.foreign_files import damage_is, no_twice, read_text
 
@@ -131,17 +119,17 @@ class Config:
         ValueError, TypeError: a stage of the wrong type, or values that do not fit together, by name.
     """
 
-    boundary: BoundaryConfig = field(default_factory=BoundaryConfig)
-    contours: ContoursConfig = field(default_factory=ContoursConfig)
-    image_graph: ImageGraphConfig = field(default_factory=ImageGraphConfig)
-    image_segments: ImageSegmentsConfig = field(default_factory=ImageSegmentsConfig)
-    point_graph: PointGraphConfig = field(default_factory=PointGraphConfig)
-    visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
-    propagation: PropagationConfig = field(default_factory=PropagationConfig)
-    point_segments: PointSegmentsConfig = field(default_factory=PointSegmentsConfig)
-    scan: ScanConfig = field(default_factory=ScanConfig)
-    refinement: RefinementConfig = field(default_factory=RefinementConfig)
-    paper: PaperConfig = field(default_factory=PaperConfig)
+    boundary: steps.BoundaryConfig = field(default_factory=steps.BoundaryConfig)
+    contours: steps.ContoursConfig = field(default_factory=steps.ContoursConfig)
+    image_graph: steps.ImageGraphConfig = field(default_factory=steps.ImageGraphConfig)
+    image_segments: steps.ImageSegmentsConfig = field(default_factory=steps.ImageSegmentsConfig)
+    point_graph: steps.PointGraphConfig = field(default_factory=steps.PointGraphConfig)
+    visibility: steps.VisibilityConfig = field(default_factory=steps.VisibilityConfig)
+    propagation: steps.PropagationConfig = field(default_factory=steps.PropagationConfig)
+    point_segments: steps.PointSegmentsConfig = field(default_factory=steps.PointSegmentsConfig)
+    scan: steps.ScanConfig = field(default_factory=steps.ScanConfig)
+    refinement: steps.RefinementConfig = field(default_factory=steps.RefinementConfig)
+    paper: steps.PaperConfig = field(default_factory=steps.PaperConfig)
 
     #: Stages of steps 6-8 whose parameters are used only after all frames, see :mod:`torchjoint.config.config`.
     afterwards: ClassVar[tuple[str, ...]] = ("scan", "refinement", "paper")
