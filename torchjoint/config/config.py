@@ -214,12 +214,13 @@ C = TypeVar("C", bound=Config)
 
 def evidence_config(config: C) -> C:
     """The config with the `afterwards` parameters at their defaults. Equal results mean equal stored evidence."""
-    default = type(config)()
-    stages = {}
-    for stage in config.afterwards:
+
+    def kept(stage: str) -> Any:
         given = dataclasses.asdict(getattr(config, stage)).items()
-        stages[stage] = getattr(default, stage).replace({k: v for k, v in given if f"{stage}.{k}" in config.before})
-    return dataclasses.replace(config, **stages)
+        default = getattr(type(config)(), stage)
+        return default.replace({name: value for name, value in given if f"{stage}.{name}" in config.before})
+
+    return dataclasses.replace(config, **{stage: kept(stage) for stage in config.afterwards})
 
 
 def evidence_differences(first: Config, second: Config) -> list[str]:

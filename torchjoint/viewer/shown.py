@@ -46,10 +46,8 @@ class LiveRun:
             ValueError: a value is out of range; the message names the parameter.
         """
         config: Config = self._segmenter.config
-        for name, value in values.items():
-            stage, _, parameter = name.partition(".")
-            is_whole = isinstance(attrgetter(name)(config), int)
-            config = config.replace({stage: {parameter: round(value) if is_whole else value}})
+        whole = {name for name in values if isinstance(attrgetter(name)(config), int)}
+        config = config.set([f"{name}={round(value) if name in whole else value}" for name, value in values.items()])
         return Result.of(self._segmenter.compute(config=config), self._scene, config)
 
 
