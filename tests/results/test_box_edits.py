@@ -590,6 +590,15 @@ def test_a_file_takes_no_later_corrections_back(run, tmp_path, capsys, format):
         run("edits", "import", out, file)
 
 
+def test_what_was_made_by_hand_joins_nothing(tmp_path):
+    """An older file has boxes of its parts only, and it lies in the box of another thing."""
+    parts = Parts(result_of(*(block((3 * place, 0, 1), (1, 1, 1), 0) for place in range(4))))
+    by_hand = Edits(parts.count, None, (Edit("join", (1, 2)),))
+    steps = Edit("join", (0, 3)), Edit("join", (0, 1))
+    with pytest.warns(UserWarning, match="as before later corrections, which stay .*: a join$"):
+        assert box_edits.without_older(steps, parts, by_hand, tmp_path / "boxes.json") == steps[:1]
+
+
 @pytest.mark.parametrize("delimiter", [",", ";"])
 def test_names_come_back_from_the_table(run, scene_of, tmp_path, capsys, delimiter):
     """A table as spreadsheets write it: rows left out and sorted, another delimiter, a byte order mark."""

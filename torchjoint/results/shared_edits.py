@@ -227,16 +227,17 @@ def edits_of_names(result: Result, names: Mapping[int, str], superpoint: Table, 
 def without_older(steps: Steps, parts: Parts, before: Edits, file: Path) -> Steps:
     """Leaves out, with a warning, the steps of a file that take later corrections back: it was exported before these.
 
-    They join what a correction has split, or give a name that another by hand has replaced.
+    They join a segment that a correction has made, or give a name that another by hand has replaced.
 
     Raises:
         ValueError: the segments that the file gathers are more like those before the last corrections.
     """
-    after = parts.table(replace(before, steps=before.steps + steps))
+    after, table = parts.table(replace(before, steps=before.steps + steps)), parts.table(before)
+    joined = {one: one.superpoints[1] for one in steps if one.kind == "join"}
     differences, older = [], set[Edit]()
     for now in parts.tables(before):
         differences.append(int((now != after) @ parts.sizes))  # points
-        older |= {one for one in steps if one.kind == "join" and np.ptp(now[[*one.superpoints]]) == 0}
+        older |= {one for one, place in joined.items() if ((now == now[place]) != (table == table[place])).any()}
     late = differences[::-1].index(min(differences))
     if late and any(step.kind == "gather" for step in steps):
         told = f"its things are more like those before the last joins or splits by hand ({late})"
