@@ -217,8 +217,7 @@ def evidence_config(config: C) -> C:
 
     def kept(stage: str) -> Any:
         given = dataclasses.asdict(getattr(config, stage)).items()
-        default = getattr(type(config)(), stage)
-        return default.replace({name: value for name, value in given if f"{stage}.{name}" in config.before})
+        return getattr(type(config)(), stage).replace({k: v for k, v in given if f"{stage}.{k}" in config.before})
 
     return dataclasses.replace(config, **{stage: kept(stage) for stage in config.afterwards})
 

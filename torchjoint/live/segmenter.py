@@ -261,8 +261,7 @@ class LiveSegmenter(nn.Module):
             PoseWarning: the depth images do not agree at these poses; it comes after some keyframes, or with a result.
             UserWarning: a frame's depth seems to be in millimetres, though that of others is in metres.
         """
-        frames = [frames] if isinstance(frames, Frame) else list(frames)
-        for frame in frames:
+        for frame in [frames] if isinstance(frames, Frame) else list(frames):
             origin = volume_origin([frame], self._volume.voxel_size) if self._origin is None else self._origin
             has_moved, has_depth = self._has_moved(frame.world_to_camera), frame.depth is not None
             seen = add_frame(self._volume, frame, origin, only_look=True).tolist() if has_moved and has_depth else []

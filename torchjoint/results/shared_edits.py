@@ -69,16 +69,14 @@ def edits_of_points(parts: Parts, before: Edits, labels: ForeignLabels) -> tuple
     Returns:
         the corrections; and how many points have another object than their superpoint.
     """
-    table = parts.table(before)
-    labelled = labels.of_point > 0
+    table, labelled = parts.table(before), labels.of_point > 0
     of_superpoint = _most(parts.of_point, labels.of_point, parts.count)
     of_segment = _most(table[parts.of_point[labelled]], labels.of_point[labelled], parts.count)
     of_superpoint = np.where(of_superpoint > 0, of_superpoint, of_segment[table])
     found, sizes = np.unique(of_superpoint[parts.of_point], return_counts=True)
     largest_first = found[np.argsort(-sizes, kind="stable")]
     superpoints_of = {one: np.flatnonzero(of_superpoint == one) for one in largest_first if one > 0}
-    gathered: list[Edit] = []
-    kept: set[int] = set()
+    gathered, kept = list[Edit](), set[int]()
     for superpoints in superpoints_of.values():
         segments = set(table[superpoints].tolist())
         if len(segments) == 1 and not segments & kept:
