@@ -15,7 +15,7 @@ from torchjoint.results.edits import Edit, Edits
 from torchjoint.results.exports.boxes import export_point_labels
 from torchjoint.results.folder import write_result
 from torchjoint.results.parts import Parts
-from torchjoint.results.shared_edits import ForeignLabels, edits_of_points, read_point_labels
+from torchjoint.results.shared_edits import ForeignLabels, edits_of_points, read_point_labels, without_older
 
 
 def parts_of(superpoint, stored):
@@ -66,6 +66,16 @@ def test_superpoints_go_to_the_object_of_most_of_their_points():
     # Points without an object follow their segment, and those that are fewer their superpoint.
     assert changes_of(parts, [7, 7, 0, 0, 7, 7, 7, 7])[0] == (Edit("gather", (0, 1, 2, 3)),)
     assert changes_of(parts, [7, 7, 0, 0, 3, 3, 3, 7]) == ((), 1)
+
+
+def test_older_labels_with_a_moved_superpoint_are_refused(tmp_path):
+    """What was moved gave its object another number, so that the later join did not count."""
+    parts = parts_of(range(5), [0, 0, 1, 2, 2])
+    before = Edits(parts.count, steps=(Edit("join", (4, 1)),))
+    steps, _ = changes_of(parts, [1, 1, 3, 3, 3], before=before)
+    with pytest.raises(ValueError, match=r"more like those before the last joins or splits by hand \(1\)"):
+        without_older(steps, parts, before, tmp_path / "label.json")
+    assert without_older(steps[:0], parts, before, tmp_path / "label.json") == ()
 
 
 def test_names_are_those_after_the_edits():

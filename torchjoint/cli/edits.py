@@ -38,9 +38,8 @@ def edits(
     """
     check_no_input(file, parts_of(result), "FILE")
     stored = load_result(result, edits=False)
-    parts = Parts(stored)
+    parts, told = Parts(stored), f"{file}: is it of another result than {result}?"
     before = read_edits(result, parts.count, stored.manifest)
-    told = f"{file}: is it of another result than {result}?"
     labels, corrected = shared_edits.read_point_labels(file, len(stored.points)), edited(stored, before)
     if (names := shared_edits.read_names(file, corrected)) is not None:
         steps = shared_edits.edits_of_names(corrected, names, parts.of_point)

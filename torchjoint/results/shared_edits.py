@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 
 from torchjoint.datasets.files.text import read_record
 from torchjoint.results.boxes import UNNAMED, Box, boxes_of, upright_points
-from torchjoint.results.edits import FILE, Edit, Edits, Table, read_edits, write_edits
+from torchjoint.results.edits import FILE, Edit, Edits, Table, first_superpoints, read_edits, write_edits
 from torchjoint.results.parts import Parts
 from torchjoint.results.result import Result
 from torchjoint.runtime import bounds
@@ -234,7 +234,8 @@ def without_older(steps: Steps, parts: Parts, before: Edits, file: Path) -> Step
     joined = {one: one.superpoints[1] for one in steps if one.kind == "join"}
     differences, older = [], set[Edit]()
     for now in parts.tables(before):
-        differences.append(int((now != after) @ parts.sizes))  # points
+        both, own = (np.bincount(first_superpoints(one), parts.sizes) for one in (now * parts.count + after, now))
+        differences.append(float(own @ own - 2 * both @ both))  # pairs of points of one segment in one table only
         older |= {one for one, place in joined.items() if ((now == now[place]) != (table == table[place])).any()}
     late = differences[::-1].index(min(differences))
     if late and any(step.kind == "gather" for step in steps):
