@@ -584,6 +584,12 @@ def test_what_the_page_sends_replaces_nothing(viewer, page):
     )
     wait(lambda: [viewer.model.key(one) for one in viewer.model.selected] == hues)
     assert viewer._panel.size.value == viewer._panel.size.max
+    # A key that is held repeats; with shift, a click takes a thing out.
+    press = 'document.body.dispatchEvent(new KeyboardEvent("keydown", { key: "Shift", bubbles: true }))'
+    page.evaluate(f"held = setInterval(() => {press}, 30)")
+    page.click(f'tr[data-hue="{hues[0]}"]', modifiers=["Shift"])
+    wait(lambda: [viewer.model.key(one) for one in viewer.model.selected] == hues[1:])
+    page.evaluate("clearInterval(held)")
 
 
 def test_what_is_under_the_mouse_is_lit_and_named(viewer, page):

@@ -52,7 +52,8 @@
     const column = Math.floor(((event.clientX - left) / width) * naturalWidth);
     send("image", column, Math.floor(((event.clientY - top) / height) * naturalHeight), more);
   });
-  for (const kind of ["click", "input", "keydown"]) document.addEventListener(kind, wait, true);
+  const act = (event) => ["Shift", "Control", "Alt", "Meta"].includes(event.key) || wait(); // held keys repeat
+  for (const kind of ["click", "input", "keydown"]) document.addEventListener(kind, act, true);
 
   // The browser gives a finger to the canvas at once; viser takes that for a grip of its own, and would drop the tap.
   document.addEventListener("pointerdown", ({ target, pointerId }) => {
