@@ -16,6 +16,7 @@ from torchjoint_lab.evaluation.scores import Scores, mean_scores, score, score_i
 from torchjoint_lab.evaluation.table import Row, markdown, standard_error, summarize, write_csv, write_plot
 
 import torchjoint as tj
+from torchjoint.results.edits import Edit, Edits, write_edits
 from torchjoint.scene import Truth
 
 
@@ -216,6 +217,14 @@ class TestPredictions:
         Image.fromarray(np.zeros((2, 2), np.uint8)).save(tmp_path / "images" / "other.png")
         with pytest.raises(ValueError, match=r"other\.png: the scene has no frame of that name"):
             read_prediction(tmp_path, synthetic.scene)
+
+    def test_corrections_that_are_not_scored_are_told(self, tmp_path, synthetic):
+        arrays = {"points": synthetic.scene.points.numpy(), "labels": synthetic.point_labels.numpy()}
+        np.savez(tmp_path / "points.npz", **arrays)
+        write_edits(tmp_path, Edits(3000, None, (Edit("join", (0, 1)),)))
+        with pytest.warns(UserWarning, match=r"edits\.json: scores leave corrections by hand out"):
+            read = read_prediction(tmp_path, synthetic.scene)
+        assert torch.equal(read.points, synthetic.point_labels)
 
     def test_results_of_some_points_in_any_order(self, tmp_path, synthetic):
         some = torch.randperm(3000, generator=torch.Generator().manual_seed(0))[:500]

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchjoint.cli.output import tell_of_edits
 from torchjoint.datasets.files.readers import read_array, read_label_image
 from torchjoint.results.folder import read_points
 from torchjoint.results.manifest import HIERARCHY, read_hierarchy
@@ -65,6 +66,7 @@ def read_prediction(path: Path, scene: Scene) -> Prediction:
         raise FileNotFoundError(f"{path}: missing; expected a result of `torchjoint segment`, or labels")
     points, of_points, hierarchy, scores = None, torch.empty(0, dtype=torch.int64), None, None
     if has_file(path / "points.npz"):
+        tell_of_edits(path, "scores leave corrections by hand out; `torchjoint export --format masks` has them")
         result = read_points(path)
         points, of_points = result.labels, _places(result.points, scene.points, path / "points.npz")
         hierarchy = read_hierarchy(path, len(points)) if has_file(path / HIERARCHY) else None
