@@ -239,6 +239,9 @@ class TestARun:
         (other / "masks.json").write_text('{"frames": [], "segments": [{"id": 100000, "masked": 1}]}')
         with pytest.raises(ValueError, match=r"masks\.json: not the masks of this result"):
             select_masked(other, tj.load_result(out))
+        (other / "masks.json").write_text('{"frames": [], "segments": [{"id": 0, "masked": 0.4}]}')
+        with pytest.raises(ValueError, match=r"masks\.json: no segment lies in masks with half of its pixels"):
+            select_masked(other, tj.load_result(out))
         (other / "masks.json").unlink()
         with pytest.raises(FileNotFoundError, match="expected a result of a recording with masks"):
             select_masked(other, tj.load_result(out))

@@ -137,7 +137,7 @@ def select_masked(folder: Path, result: Result) -> Result:
     kept, names = masked_segments(folder), frames_with_masks(folder)
     with damage_is(f"{folder / FILE}: not the masks of this result"):
         table = torch.full((count := result.num_point_segments,), -1)
-        table[kept] = torch.tensor(kept)
+        table[kept] = torch.tensor(kept, dtype=torch.int64)
     if not kept:
         raise ValueError(f"{folder / FILE}: no segment lies in masks with half of its pixels")
 
