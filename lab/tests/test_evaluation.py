@@ -288,6 +288,10 @@ class TestCommand:
         run_lab("evaluate", results, data)
         lines = capsys.readouterr().out.splitlines()
         assert [line.split("|")[1].strip() for line in lines[2:5]] == ["first", "second", "mean"]
+        (results / "second.txt").write_text("0\n" * 3000)
+        with pytest.raises(SystemExit, match=r"expected one prediction of second, got second\.npy, second\.txt"):
+            run_lab("evaluate", results, data)
+        (results / "second.txt").unlink()
         (results / "second.npy").unlink()
         with pytest.raises(SystemExit, match=r"second: missing; expected a result"):
             run_lab("evaluate", results, data)

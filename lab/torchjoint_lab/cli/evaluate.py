@@ -127,10 +127,12 @@ class _ScoreCollector:
 
 
 def _of_scene(pred: Path, name: str) -> Path:
-    for candidate in (pred / name, *(pred / f"{name}{suffix}" for suffix in (".npy", ".txt", ".npz"))):
-        if is_there(candidate):
-            return candidate
-    raise FileNotFoundError(f"{pred / name}: missing; expected a result (or {name}.npy, .txt, .npz) for each scene")
+    found = [one for suffix in ("", ".npy", ".txt", ".npz") if is_there(one := pred / f"{name}{suffix}")]
+    if not found:
+        raise FileNotFoundError(f"{pred / name}: missing; expected a result (or {name}.npy, .txt, .npz) for each scene")
+    if len(found) > 1:
+        raise ValueError(f"{pred}: expected one prediction of {name}, got {', '.join(one.name for one in found)}")
+    return found[0]
 
 
 def _with_truth_of(protocol: Name, scene: Scene, path: Path, table: Path) -> Scene:
