@@ -502,3 +502,14 @@ def test_a_pose_without_its_image_is_told(tmp_path, synthetic):
     (folder / "frame-000010.color.png").unlink()
     with pytest.warns(UserWarning, match=r"1 of 6 images have a pose, but are missing, and are left out"):
         assert len(tj.load_scene(folder).frames) == 5
+
+
+def test_a_truth_whose_largest_number_may_be_void_is_told(tmp_path, synthetic):
+    recording = write_folder(tmp_path / "recording", synthetic)
+    labels = synthetic.point_labels.numpy().copy()
+    labels[:9] = -1
+    np.save(recording / "cloud.truth.npy", labels.astype(np.uint16))
+    with pytest.warns(UserWarning, match="65535") as told:  # and not that this file is not read
+        tj.load_scene(recording)
+    assert all("65535 is a label; if it was -1" in str(one.message) for one in told)
+    assert f"{recording / 'cloud.truth.npy'}: 65535 is" in str(told[0].message)

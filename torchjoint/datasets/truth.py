@@ -68,7 +68,7 @@ def label_images(files: Sequence[Path], what: str, images: Sequence[Path]) -> Se
     if missing and len(missing) < len(files):
         raise FileNotFoundError(f"{missing[0]}: missing; {len(files) - len(missing)} other frames have their {what}")
     if missing:
-        tell_not_read(files[0].parent, what.rstrip("s"), f"an image of {what}")
+        tell_not_read(files[0].parent, rf"(?<!cloud\.){what.rstrip('s')}", f"an image of {what}")
         return ()
     return LazySequence(
         len(files), lambda index: of_size(read_label_image(files[index]), files[index], images[index]) - 1

@@ -143,11 +143,12 @@ def as_labels(labels: Tensor, size: tuple[int, ...], name: str = "labels") -> Te
     if labels.dtype == torch.uint8 and (values := labels.unique().tolist())[:1] == [0] and len(values) == 2:
         told = f"{name}: got only 0 and {values[1]}, as in the image of a mask"
         raise ValueError(f"{told}; its background would be a segment: pass `mask > 0`, or int64 labels (-1 = none)")
-    largest, labels = torch.iinfo(labels.dtype).max, labels.to(torch.int64)
-    if largest in (255, 65535, 2**32 - 1) and labels.numel() and int(labels.max()) == largest:
+    is_byte, labels = labels.dtype == torch.uint8, labels.to(torch.int64)  # readers of files have widened other dtypes
+    least, largest = map(int, labels.aminmax()) if labels.numel() else (0, 0)
+    if largest in (65535, 2**32 - 1) or (is_byte and largest == 255):
         warnings.warn(f"{name}: {largest} is a label; if it was -1 (none), give integers with a sign", stacklevel=4)
-    if labels.numel() and int(labels.min()) < -1:
-        raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {int(labels.min())}")
+    if least < -1:
+        raise ValueError(f"{name}: expected labels >= -1 (-1 = none), got {least}")
     return labels
 
 

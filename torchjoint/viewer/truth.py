@@ -75,8 +75,7 @@ def read_labelled_cloud(path: Path) -> Result:
     name = f"{path}: labels"  # floats would be cut to integers
     whole = as_labels(as_tensor(as_int64(labels, name), name), labels.shape[:1], name)
     is_valid = cloud.points.isfinite().all(1)
-    cloud, ids = cloud.chosen(is_valid), whole[is_valid]
-    ids = _with_rest(ids)
+    cloud, ids = cloud.chosen(is_valid), _with_rest(whole[is_valid])
     labels_of = ids if int(ids.max()) <= len(ids) else ids.unique(return_inverse=True)[1]
     return Result.of(Segmentation(labels_of, ()), Scene(cloud.points, colors=cloud.colors, name=path.stem))
 
