@@ -23,7 +23,7 @@ def at_level(result: Path, loaded: Result, granularity: float | None) -> Result:
     """A result at another level, with a warning if this leaves corrections out; None: as it is."""
     if granularity is None:
         return loaded
-    tell_of_edits(result, "--granularity gives a level without joins and splits; names stay")
+    tell_of_edits(result, "--granularity gives a level without joins and splits; names stay where a segment has one")
     found = loaded.at(granularity)
     if names_of_masks(result) and found.num_point_segments > loaded.num_point_segments:
         told = "smaller things have the names of those that they are parts of; segment --granularity votes on names"
